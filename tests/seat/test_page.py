@@ -8,6 +8,7 @@ import json
 import logging
 import os
 import shutil
+import socket
 import ssl
 import stat
 import subprocess
@@ -202,6 +203,27 @@ async def test_lanes_are_for_those_with_the_token(served, monkeypatch):
             async with asyncio.timeout(5.0):
                 await link.wait_closed()
             assert link.close_code == 4401
+
+
+@pytest.mark.promise("SEC-1")
+async def test_a_flood_of_newcomers_comes_in_one_by_one(served):
+    """So many in a second, and as many at once; who is in already has its answers."""
+    async with served(Wander()) as robot, Browser(robot) as browser:
+        here = ("127.0.0.1", port_of(robot))
+        began, flood = time.monotonic(), list[socket.socket]()
+        before = robot.journal.counts()["page"]["newcomers"]
+        for number in range(300):
+            each = socket.socket()
+            each.setblocking(False)
+            each.connect_ex(here)
+            flood.append(each)
+            if number % 10 == 9:
+                assert (await browser.do("status"))["ok"]
+        await asyncio.sleep(0.3)
+        came = robot.journal.counts()["page"]["newcomers"] - before
+        assert 32 <= came <= 64 * (1.0 + time.monotonic() - began)
+        for each in flood:
+            each.close()
 
 
 STRANGER = """

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from esair.exceptions import ConfigError, describe
 from esair.seat._place import secret_file
-from esair.seat._visitor import Budget, Visitor, Way, line_of
+from esair.seat._visitor import Budget, Entry, Visitor, Way, line_of
 from esair.seat._wire import LIMIT
 
 if TYPE_CHECKING:
@@ -129,7 +129,8 @@ def entrance(lobby: Lobby, context: ssl.SSLContext | None) -> type[asyncio.Proto
             except OSError:  # it speaks something else, or nothing
                 transport.abort()
             else:
-                assert secured is not None
+                if secured is None:
+                    return  # it has gone meanwhile
                 super().connection_made(secured)
                 early, self._early = self._early, b""
                 if early:
@@ -191,7 +192,7 @@ WAITING = 256
 
 LINES = 500  # How many lines a browser may send in a second
 LOGIN = 2.0  # How long a browser may take to show its token, in seconds
-BACKLOG = 16  # How many connections are taken in one turn of the robot's loop
+BACKLOG = 16  # How many newcomers may wait in the kernel
 
 STRANGERS = 64
 """Of how many addresses a wrong token is told in the log, once each."""
@@ -277,7 +278,6 @@ class PageServer(Way["_Viewer"]):
             ws_max_size=LIMIT,
             ws_ping_interval=2.0,
             ws_ping_timeout=5.0,
-            backlog=BACKLOG,
             timeout_keep_alive=5,
             timeout_graceful_shutdown=1,
             h11_max_incomplete_event_size=16 * 1024,
@@ -294,10 +294,12 @@ class PageServer(Way["_Viewer"]):
 
         bound = _bind(page)
         self.port = bound.getsockname()[1]
-        self._server = Server(settings)
-        self._serving = asyncio.create_task(
-            self._server.serve(sockets=[bound]), name="esair page"
-        )
+        settings.load()
+        self._server = server = Server(settings)
+        self._serving = asyncio.create_task(server.serve(sockets=[]), name="esair page")
+        speaks: Any = settings.http_protocol_class
+        given = {"config": settings, "server_state": server.server_state}
+        self.entry = Entry(bound, BACKLOG, lambda: speaks(**given, app_state={}))
         self._tell()
 
     def _tell(self) -> None:
@@ -325,6 +327,8 @@ class PageServer(Way["_Viewer"]):
         """Serve no more."""
         for viewer in tuple(self.there):
             viewer.end()
+        if self.entry is not None:
+            self.entry.close()
         self._lobby.close()
         if self._serving is not None:
             self._server.should_exit = True

@@ -12,7 +12,7 @@ from typing import Any
 from esair.exceptions import BadValueError, BusyError
 from esair.seat._operator import Console
 from esair.seat._place import Place
-from esair.seat._visitor import LONGEST, Budget, Visitor, Way, line_of
+from esair.seat._visitor import LONGEST, Budget, Entry, Visitor, Way, line_of
 from esair.seat._wire import LIMIT, VERSION, failure
 
 CLIENTS = 16
@@ -46,22 +46,16 @@ class Socket(Way["_Client"]):
     def __init__(self, console: Console, place: Place) -> None:
         super().__init__(console, "socket", CLIENTS)
         self.place = place
-        self._server: asyncio.Server | None = None
 
     async def start(self) -> None:
         """Let clients come."""
-        loop = asyncio.get_running_loop()
-        bound = self.place.bind()
-        # A bound socket without a path: asyncio would look after the file otherwise.
-        self._server = await loop.create_unix_server(
-            lambda: _Client(self), sock=bound, backlog=CLIENTS
-        )
+        self.entry = Entry(self.place.bind(), CLIENTS, lambda: _Client(self))
         _log.info("control socket: %s", self.place.path)
 
     async def close(self) -> None:
         """Let nobody in any more; those who are in are told that it ends."""
-        if self._server is not None:
-            self._server.close()
+        if self.entry is not None:
+            self.entry.close()
         for client in tuple(self.there):
             client.end()
         await asyncio.sleep(0)  # what they are told leaves

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import socket
+from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 from esair.exceptions import BadValueError, BusyError
@@ -23,6 +26,9 @@ from esair.seat._wire import (
 LONGEST = 1 << 20  # How long an answer may be, in bytes
 STOP_LANES = 4  # How many more may come in by each way who can only stop the robot
 
+NEWCOMERS = 64
+"""How many may come in by each way in a second, and as many at once."""
+
 V = TypeVar("V", bound="Visitor")
 
 
@@ -34,6 +40,7 @@ class Way(Generic[V]):
         self.there: dict[V, None] = {}  # In the order in which they came
         self.turned_away: int = 0  # How many came who may not, or were too many
         self.cut_off = 0  # How many were cut off because they did not read
+        self.entry: Entry | None = None
         self._room = room
         self._past = [0, 0]
         console.robot.journal.count(name, lambda: [(name, self.counts())])
@@ -42,6 +49,7 @@ class Way(Generic[V]):
         """Return the counters, by name."""
         return {
             "clients": len(self.there),
+            "newcomers": 0 if self.entry is None else self.entry.newcomers,
             "turned_away": self.turned_away,
             "garbage": self._past[0] + sum(each.garbage for each in self.there),
             "dropped": self._past[1] + sum(each.dropped for each in self.there),
@@ -71,6 +79,62 @@ class Way(Generic[V]):
             del self.there[visitor]
             self._past[0] += visitor.garbage
             self._past[1] += visitor.dropped
+
+
+class Entry:
+    """Takes newcomers from a listening socket: one in a turn, and so many in a second.
+
+    Whoever floods it waits in the kernel, with all other newcomers, and not in the
+    robot's loop; who is in already does not notice.
+
+    Args:
+        bound: The socket, bound and not blocking.
+        backlog: How many newcomers the kernel lets wait.
+        make: Makes the protocol of a newcomer.
+    """
+
+    def __init__(
+        self, bound: socket.socket, backlog: int, make: Callable[[], asyncio.Protocol]
+    ) -> None:
+        self.newcomers = 0  # How many have come in
+        self._loop = asyncio.get_running_loop()
+        self._bound = bound
+        self._make = make
+        self._budget = Budget(NEWCOMERS)
+        self._pause: asyncio.TimerHandle | None = None
+        bound.listen(backlog)
+        self._open()
+
+    def close(self) -> None:
+        """Let nobody in any more."""
+        if self._pause is not None:
+            self._pause.cancel()
+        self._loop.remove_reader(self._bound)
+        self._bound.close()
+
+    def _open(self) -> None:
+        self._loop.add_reader(self._bound, self._take)
+
+    def _take(self) -> None:
+        pause = 0.0
+        try:
+            link, _ = self._bound.accept()
+        except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+            return  # it has gone again
+        except OSError:  # no descriptor is left for it
+            pause = 1.0
+        else:
+            self.newcomers += 1
+            link.setblocking(False)
+            self._loop.create_task(self._let_in(link), name="esair newcomer")
+            pause = self._budget.spend(1)
+        if pause:
+            self._loop.remove_reader(self._bound)
+            self._pause = self._loop.call_later(pause, self._open)
+
+    async def _let_in(self, link: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            await self._loop.connect_accepted_socket(self._make, link)
 
 
 class Budget:
