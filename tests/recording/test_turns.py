@@ -86,16 +86,32 @@ def test_errors_come_back_with_all_that_is_asked_of_them() -> None:
 
 @pytest.mark.promise("REP-2")
 def test_a_value_that_cannot_be_kept_ends_what_can_be_repeated() -> None:
-    """What is before it stays, and it is said what it was."""
+    """Whole turns before it stay: a robot would miss in the last what came beside it."""
     turns = Turns(KINDS)
-    for moment in (0.0, 1.0):
+    for moment in (0.0, 1.0, 2.0):
         turns.tape.turn(moment)
+        turns.tape.arrived(("bumper", "pushed"), moment)
     turns.tape.arrived(("sonar", "pushed"), lambda: None)
-    turns.tape.turn(2.0)
+    turns.tape.arrived(("bumper", "pushed"), 9.0)
+    turns.tape.turn(3.0)
     items, spoiled = kept_of(list(iter(turns.chunk, b"")))
 
-    assert items == [0.0, 1.0]
+    pushed = "bumper", "pushed"
+    assert items == [0.0, (pushed, 1, 0.0), 1.0, (pushed, 2, 1.0)]
     assert "what sonar pushed gave cannot be kept: builtins.function" in str(spoiled)
+
+
+@pytest.mark.promise("REP-2", "REC-3")
+def test_the_last_turn_of_a_cut_recording_is_none() -> None:
+    """But for the moment of the first one: there was a run."""
+    turns, pushed = Turns(KINDS), ("bumper", "pushed")
+    turns.tape.turn(0.0)
+    turns.tape.arrived(pushed, 7.0)
+    data = turns.chunk()
+    assert list(Kept(HERE, [data], KINDS, whole=False)) == [0.0]
+    turns.tape.turn(1.0)
+    cut = Kept(HERE, [data, turns.chunk()], KINDS, whole=False)
+    assert [item if type(item) is float else item[1] for item in cut] == [0.0, 1]
 
 
 @pytest.mark.promise("REP-2")

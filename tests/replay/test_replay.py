@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import os
 import random
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -217,6 +219,26 @@ def test_what_is_no_plain_data_is_not_kept(
     assert [item for item in kept if type(item) is float]
     assert str(kept.spoiled).startswith(told)
     assert "Evil is no plain data" in str(kept.spoiled)
+
+
+@pytest.mark.promise("REP-2")
+@pytest.mark.parametrize("number", [1, 2, 5])
+def test_what_is_before_it_is_repeated(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What else came in that very turn is no difference, be it the first."""
+
+    async def stream(_: object) -> AsyncIterator[Any]:
+        for each in itertools.count(1):
+            yield Evil() if each == number else True
+            await asyncio.sleep(0.005)
+
+    with monkeypatch.context() as once:
+        once.setattr(robots.Bumper, "stream", stream)
+        path = robots.recorded(tmp_path / "run.mcap", 0.3)
+    outcome = Replay(path).run(robots.make())
+    assert outcome.divergence is None
+    assert outcome.short.startswith("what bumper pushed gave cannot be kept")
 
 
 def check(kind: type, folder: Path) -> list[Unrepeatable]:

@@ -184,25 +184,46 @@ class Kept:
         path: The recording, for messages.
         chunks: What `chunks_of` finds there.
         kinds: The classes that may come back.
+        whole: Whether the recording was ended; else its last turn may be a part of one.
 
     Attributes:
         spoiled: Why the run cannot be repeated to its end; None if it can, or if that
             is further on.
     """
 
-    def __init__(self, path: Path, chunks: Iterable[bytes], kinds: Kinds) -> None:
+    def __init__(
+        self, path: Path, chunks: Iterable[bytes], kinds: Kinds, *, whole: bool = True
+    ) -> None:
         self._path = path
         self._chunks = chunks
         self._kinds = kinds
+        self._whole = whole
+        self._is_found = False  # a whole turn
         self.spoiled: str | None = None
 
     def __iter__(self) -> Iterator[Any]:
-        """Yield what a `TapeWriter` has put; what came in is still to be read.
+        """Yield what a `TapeWriter` has put, up to the end of the last whole turn.
+
+        A part of a turn is none: what it lacks, the robot would miss in that turn. What
+        came in is still to be read. Of the first turn there is its moment in any case.
 
         Raises:
             RecordingBrokenError: There are none, or not their beginning, or they are
                 not what `Turns` has written.
         """
+        turn = list[Any]()
+        for item in self._items():
+            if type(item) is float and turn:
+                yield from turn
+                turn.clear()
+                self._is_found = True
+            turn.append(item)
+        if self._whole and self.spoiled is None:
+            yield from turn
+        elif not self._is_found:
+            yield from turn[:1]
+
+    def _items(self) -> Iterator[Any]:
         found = False
         now = 0.0
         for expected, data in enumerate(self._chunks):

@@ -154,7 +154,7 @@ class Replay:
         if loop is None:
             kinds = kinds_of(lambda: components_of(robot))
             chunks = chunks_of(self.path)
-            kept = Kept(self.path, chunks, kinds)
+            kept = Kept(self.path, chunks, kinds, whole="end" in self.facts)
             span = player = Player(kept, read=kept.read)
             if player.error is not None:
                 raise player.error
@@ -169,7 +169,11 @@ class Replay:
             found.append(divergence)
             loop.call_soon(over if player is None else player.end)
 
+        is_over = False
+
         def over() -> None:
+            nonlocal is_over
+            is_over = True
             comparison.end()
             task.cancel()
 
@@ -198,7 +202,7 @@ class Replay:
             except BaseException as error:
                 # The end of the recorded run, which a signal may have brought; or the
                 # robot of today cannot start.
-                if not comparison.equal and not found:
+                if not (comparison.equal or found or is_over):
                     refused.append(error)
 
         async def main() -> None:
