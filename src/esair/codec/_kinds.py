@@ -161,6 +161,7 @@ class Kinds:
         """Modules that may have had other names when a value was sent."""
         self._more = more
         self._shapes: dict[type, Shape] = {}
+        self._asked: dict[type, Shape] = {}  # those that were found to be the only ones
         self._named: dict[str, type] = {}
         self._doubled: set[str] = set()
         self._unknown: dict[tuple[str, str], type] = {}
@@ -191,6 +192,7 @@ class Kinds:
             self._shapes[each] = shape
             if self._named.setdefault(name_of(each), each) is not each:
                 self._doubled.add(name_of(each))
+                self._asked.clear()
             if shape.form in {Form.RECORD, Form.TUPLE}:
                 waiting += hints_of(each).values()
 
@@ -203,6 +205,9 @@ class Kinds:
         Raises:
             CodecError: They may not cross.
         """
+        shape = self._asked.get(kind)
+        if shape is not None:
+            return shape
         shape = self._shapes.get(kind)
         if shape is None and self._more is not None:
             self._more(self)
@@ -210,6 +215,7 @@ class Kinds:
         if shape is not None:
             if name_of(kind) in self._doubled:
                 raise CodecError(f"there are two classes {name_of(kind)}")
+            self._asked[kind] = shape
             return shape
         if issubclass(kind, BaseException) and (found := shape_of(kind)) is not None:
             return found

@@ -15,6 +15,8 @@ from esair.recording._plain import schema_of
 
 CHUNK = 1 << 20  # The largest chunk in bytes; time ends it earlier (`Segment.flush`)
 
+_json = json.JSONEncoder(allow_nan=False).encode
+
 
 class _Out:
     """What the writer writes to; it keeps the error, which the writer would log."""
@@ -92,7 +94,7 @@ class Segment:
 
     def write(self, topic: str, schema: str, message: Any, when: float) -> None:
         """Write a message."""
-        data = json.dumps(message, allow_nan=False).encode()
+        data = _json(message).encode()
         channel = self._channels.get(topic)
         if channel is None:
             shape = {"title": schema, **schema_of(message)}

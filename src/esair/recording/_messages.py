@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any, NamedTuple
 
 from esair.journal import Event, Kind
-from esair.recording._plain import fields_of, plain
+from esair.recording._plain import names_of, plain
 
 EVENT = "esair.Event"
 """The name of the kind of all messages that viewers know no better name for."""
@@ -16,6 +16,7 @@ EVENT = "esair.Event"
 NUMBER = 8  # How many bytes an item of a list counts for
 LONG = 256  # From how many items on none of them is looked at
 
+_NUMBERS = {float, int, bool, type(None)}
 _EXCHANGE = {Kind.PUT, Kind.GOT, Kind.ASKED, Kind.ANSWERED}
 _COMMANDS = {
     Kind.COMMAND,
@@ -45,19 +46,24 @@ class Seen(NamedTuple):
 
 def size_of(value: Any, depth: int = 3) -> int:
     """Return about how many bytes a value has; of a long list it looks at no item."""
+    kind: Any = type(value)
+    if kind in _NUMBERS:
+        return NUMBER
+    names = names_of(kind)
+    if names is not None:
+        parts: Any = [getattr(value, name) for name in names] if depth else ()
+        return sum(size_of(part, depth - 1) for part in parts)
     size = getattr(value, "nbytes", None)
     if isinstance(size, int):
         return size
     if isinstance(value, bytes | bytearray | str):
         return len(value)
-    parts: Any = fields_of(value)
-    if parts is None:
-        if not isinstance(value, Collection):
-            return NUMBER
-        if len(value) > LONG:
-            return NUMBER * len(value)
-        parts = value if isinstance(value, Mapping) else dict(enumerate(value))
-    return sum((size_of(part, depth - 1) for part in parts.values()), 0) if depth else 0
+    if not isinstance(value, Collection):
+        return NUMBER
+    if len(value) > LONG:
+        return NUMBER * len(value)
+    parts = value.values() if isinstance(value, Mapping) else value
+    return sum(size_of(part, depth - 1) for part in parts) if depth else 0
 
 
 def seen_as(event: Event, offset: float, encode: Callable[[Any], Any] = plain) -> Seen:
@@ -72,7 +78,7 @@ def seen_as(event: Event, offset: float, encode: Callable[[Any], Any] = plain) -
     envelope: dict[str, Any] = {
         "number": event.number,
         "time": event.time,
-        "kind": str(kind),
+        "kind": kind.value,
         "component": event.component,
         "peer": event.peer,
         "text": event.text,

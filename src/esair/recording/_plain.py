@@ -15,6 +15,7 @@ import attrs
 from esair.exceptions import describe
 
 DEPTH = 12  # How deep a value may be nested; what lies deeper is a text
+_AS_IT_IS = {type(None), bool, int, str}
 TEXT = 4096  # How long the text of a value without a form of its own may be
 
 
@@ -24,17 +25,20 @@ def plain(value: Any, depth: int = DEPTH) -> Any:
     Numbers that are not finite become ``"nan"``, ``"inf"`` and ``"-inf"``, arrays of
     NumPy an object with shape, type and data (base64), and errors their description.
     """
-    if value is None or value is True or value is False or type(value) is str:
+    kind: Any = type(value)
+    if kind is float:
+        return value if math.isfinite(value) else str(value)
+    if kind in _AS_IT_IS:
         return value
+    names = names_of(kind)
+    if names is not None and depth > 0:
+        return {name: plain(getattr(value, name), depth - 1) for name in names}
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else str(float(value))
     if isinstance(value, int):
         return value.name if isinstance(value, enum.Enum) else int(value)
     if depth <= 0:
         return _text(value)
-    fields = fields_of(value)
-    if fields is not None:
-        return {name: plain(part, depth - 1) for name, part in fields.items()}
     if isinstance(value, Mapping):
         return {str(key): plain(part, depth - 1) for key, part in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
@@ -61,12 +65,13 @@ def plain(value: Any, depth: int = DEPTH) -> Any:
 def fields_of(value: Any) -> dict[str, Any] | None:
     """Return the fields of a structured value by name; None if it has none."""
     kind: object = type(value)
-    names = _names_of(kind)
+    names = names_of(kind)
     return None if names is None else {name: getattr(value, name) for name in names}
 
 
 @functools.lru_cache(maxsize=1024)
-def _names_of(kind: Any) -> tuple[str, ...] | None:
+def names_of(kind: Any) -> tuple[str, ...] | None:
+    """Return the names of the fields of a class's objects; None if they have none."""
     if attrs.has(kind):
         return tuple(field.name for field in attrs.fields(kind))
     names = getattr(kind, "__dataclass_fields__", None)

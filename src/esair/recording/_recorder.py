@@ -44,7 +44,7 @@ LAST = 2.0
 
 PATIENT = 60.0  # The same where time is virtual
 
-SLICE = 4
+SLICE = 8
 """How many events are written at once: a thread that computes holds up the loop."""
 
 VALUE_LIMIT = 1 << 20
