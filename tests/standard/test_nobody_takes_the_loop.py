@@ -22,6 +22,12 @@ from esair.loop._overseer import describe_holder
 
 pytestmark = pytest.mark.real_clock
 
+ROUND = 300
+"""Of how many turns it is asked how long they take."""
+
+CONTROL = 0.0005
+"""What the work beside each turn takes where nobody else is busy, 99 of 100, in s."""
+
 
 class Instant(esair.Actuator[float]):
     """A device that takes each command at once."""
@@ -111,25 +117,37 @@ async def test_a_beat_is_in_time_beside_twenty_loops_without_end(
         ],
         stall_warning=None,
     )
-    turns: list[float] = []
+    turns, control, enough_turns = list[float](), list[float](), asyncio.Event()
 
     def turn(began: float) -> None:
         now = time.thread_time()  # a computer that is busy otherwise must not count
         turns.append(now - began)
-        if len(turns) < 1000:
-            loop.call_soon(turn, now)
+        sum(number % 7 for number in range(10_000))  # on this computer, as it is now
+        control.append(time.thread_time() - now)
+        if len(turns) == 3 * ROUND:
+            enough_turns.set()
+        else:
+            loop.call_soon(turn, time.thread_time())
 
     begun = time.thread_time()
     async with robot:
         loop = asyncio.get_running_loop()
         await asyncio.sleep(0.5)
         turn(time.thread_time())
-        await asyncio.sleep(1.5)
+        async with asyncio.timeout(60.0):
+            await enough_turns.wait()
         enough = 50 * (time.thread_time() - begun)  # 100 if nobody else is busy
         assert all(each.rounds > enough for each in behaviors)
         assert len(beat.late) > enough
-    # A beat wakes in the third turn after its timer, so three are its lateness.
-    assert 3 * statistics.quantiles(turns, n=100)[-1] <= 0.005
+    # A beat wakes in the third turn after its timer, so three are its lateness: they are
+    # 5 ms at most on a computer that has nothing else to do, where the control takes
+    # CONTROL. The best of three rounds counts: other work makes each late some time.
+    longest = [
+        statistics.quantiles(turns[at:][:ROUND], n=100)[-1]
+        / statistics.quantiles(control[at:][:ROUND], n=100)[-1]
+        for at in range(0, 3 * ROUND, ROUND)
+    ]
+    assert min(longest) <= 0.005 / 3 / CONTROL, longest
 
 
 def _writer(number: int) -> esair.Behavior:
