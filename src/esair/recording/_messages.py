@@ -51,8 +51,11 @@ def size_of(value: Any, depth: int = 3) -> int:
         return NUMBER
     names = names_of(kind)
     if names is not None:
-        parts: Any = [getattr(value, name) for name in names] if depth else ()
-        return sum(size_of(part, depth - 1) for part in parts)
+        total = 0
+        for name in names if depth else ():
+            part = getattr(value, name)
+            total += NUMBER if type(part) in _NUMBERS else size_of(part, depth - 1)
+        return total
     size = getattr(value, "nbytes", None)
     if isinstance(size, int):
         return size

@@ -32,7 +32,12 @@ def plain(value: Any, depth: int = DEPTH) -> Any:
         return value
     names = names_of(kind)
     if names is not None and depth > 0:
-        return {name: plain(getattr(value, name), depth - 1) for name in names}
+        found = {}
+        for name in names:
+            part = getattr(value, name)
+            is_plain = type(part) is float and part - part == 0.0  # it is finite
+            found[name] = part if is_plain else plain(part, depth - 1)
+        return found
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else str(float(value))
     if isinstance(value, int):

@@ -44,8 +44,10 @@ LAST = 2.0
 
 PATIENT = 60.0  # The same where time is virtual
 
-SLICE = 8
-"""How many events are written at once: a thread that computes holds up the loop."""
+SLICE = 0.0004
+"""How long events are written at once, in seconds: who computes holds up the loop."""
+
+LOOK = 0.03  # How long it waits for more where everything is written, in seconds
 
 VALUE_LIMIT = 1 << 20
 """The greatest size of a message in bytes; a larger value is left out, and told once."""
@@ -212,14 +214,14 @@ class Recorder:
         flushed = synced = time.monotonic()
         while True:
             over = self._over.is_set()
-            wrote = 0
-            while self._waiting and wrote < SLICE:
-                self._write(self._waiting.popleft())
-                wrote += 1
             now = time.monotonic()
+            until = now + SLICE
+            while self._waiting and now < until:
+                self._write(self._waiting.popleft())
+                now = time.monotonic()
             if now - flushed >= FLUSH:
                 flushed = now
-                wrote += self._write_turns()
+                self._write_turns()
                 self._segment.flush()
             if now - synced >= SYNC:
                 synced = now
@@ -227,8 +229,10 @@ class Recorder:
                 self._segment.sync()
                 self._make_room()
             if not over:
-                if not (self._waits and self._waiting):
-                    time.sleep(_PAUSE if wrote else 0.02)
+                if not self._waiting:
+                    self._over.wait(LOOK)
+                elif not self._waits:
+                    time.sleep(_PAUSE)
             elif self._is_late or not self._waiting:
                 self._write_end()
                 return
@@ -248,14 +252,12 @@ class Recorder:
             self._told_loss = True
             _log.warning("recording %s: %s", self.path, LOST)
 
-    def _write_turns(self) -> int:
-        """Write all turns until now; tell how many chunks there were."""
-        turns, count = self._turns, 0
+    def _write_turns(self) -> None:
+        """Write all turns until now."""
+        turns = self._turns
         while turns is not None and (data := turns.chunk()):
             self._segment.write_bytes(TOPIC, TURNS, data, time.time())
-            count += 1
             time.sleep(_PAUSE)
-        return count
 
     def _write(self, event: Event) -> None:
         self._went += bulk_of(event.value)
