@@ -7,12 +7,13 @@ import tomllib
 
 import pytest
 
+from esair.buses import finding
 from esair.buses.can import CanState, _interfaces
-from esair.buses.can._interface import Interface
-from esair.buses.finding import _device, who_may
+from esair.buses.can._interfaces import Interface
+from esair.buses.finding import who_may
 from esair.config import check
 from esair.discovery import devices, toml
-from esair.drivers.gpio import _find
+from esair.drivers import gpio
 
 pytestmark = pytest.mark.promise("BUS-2")
 
@@ -190,8 +191,8 @@ def test_gpio_chips_are_listed_without_libgpiod_2(monkeypatch, module) -> None:
     """With the bindings of version 1, as distributions have them, or with none."""
     monkeypatch.setitem(sys.modules, "gpiod", module)
 
-    assert _find._gpiod() is None
-    assert all(each.kind == "gpio" for each in _find.devices())
+    assert gpio._gpiod() is None
+    assert all(each.kind == "gpio" for each in gpio.devices())
 
 
 @pytest.mark.parametrize(
@@ -227,7 +228,7 @@ def test_what_may_not_be_opened_is_told(monkeypatch, tree) -> None:
     tree.tty("ttyAMA0", tree.root / "sys/devices/platform/uart")
     tree.i2c(1, "bcm2835 (i2c@7e804000)")
     allowed = {each.state for each in devices(tree.root)}
-    monkeypatch.setattr(_device.os, "access", lambda *_: False)
+    monkeypatch.setattr(finding.os, "access", lambda *_: False)
     refused = [each.state for each in devices(tree.root)]
 
     assert allowed == {""}

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import pytest
 
-from esair.buses.finding import _watch
+from esair.buses import finding
 from esair.discovery import Wakes, watch
 from esair.testing import Leaks
 
@@ -22,7 +22,7 @@ PATIENCE = 60.0
 @pytest.fixture(autouse=True)
 def many_looks(monkeypatch) -> None:
     """Do not take longer than the rules need."""
-    monkeypatch.setattr(_watch, "PERIOD", 0.01)
+    monkeypatch.setattr(finding, "PERIOD", 0.01)
 
 
 class Place:

@@ -15,7 +15,8 @@ from tests.drivers.parts import Powered
 
 import esair
 from esair import discovery
-from esair.drivers.camera import Camera, _sensor, devices, find_camera
+from esair.drivers import camera
+from esair.drivers.camera import Camera, devices, find_camera
 from esair.drivers.camera.fake import FakeCamera
 from esair.exceptions import (
     DeviceFaultError,
@@ -167,7 +168,7 @@ async def test_what_waits_in_the_kernel_is_thrown_away(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A slow reader gets the newest picture, and the loop waits for none."""
-    monkeypatch.setattr(_sensor, "AT_ONCE", 0.25)  # on a busy computer, too
+    monkeypatch.setattr(camera, "AT_ONCE", 0.25)  # on a busy computer, too
     kernel = Kernel()
     device = Camera(opener=lambda _request: kernel)
     loop = asyncio.get_running_loop()
@@ -279,7 +280,7 @@ async def test_a_camera_that_opens_too_late_is_closed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Nobody has it: nobody else could open it."""
-    monkeypatch.setattr(_sensor, "OPEN_TIMEOUT", 0.05)
+    monkeypatch.setattr(camera, "OPEN_TIMEOUT", 0.05)
     let_go = threading.Event()
     late = Hanging(let_go)
 

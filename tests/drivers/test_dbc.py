@@ -16,7 +16,7 @@ from tests.drivers.parts import OnCan, opened
 import esair
 from esair.buses import CanBus, Frame
 from esair.drivers.dbc import DbcActuator, DbcSensor, MessageCodec, find_message
-from esair.drivers.dbc._transport import Reassembly
+from esair.drivers.dbc._j1939 import Reassembly
 from esair.drivers.dbc.fake import FakeDbcNode
 from esair.exceptions import (
     BadValueError,

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from tests.drivers.parts import OnChip
 
 import esair
-from esair.drivers.pca9685 import PwmChannel
-from esair.drivers.pca9685._chip import (
+from esair.drivers.pca9685 import (
+    PwmChannel,
     decode_steps,
     encode_steps,
     frequency_of,

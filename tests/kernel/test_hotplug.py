@@ -19,8 +19,7 @@ from typing import Any
 import pytest
 
 import esair
-from esair.buses import SerialBus
-from esair.buses.finding import _watch
+from esair.buses import SerialBus, finding
 from esair.discovery import devices, find_port, serial_identity, watch
 from esair.messages import ResourceState
 from esair.supervisors import _resource_life
@@ -207,7 +206,7 @@ async def test_a_renumbered_device_is_found_and_another_is_not_it(plug) -> None:
 async def test_an_event_of_the_kernel_wakes_who_waits(plug, monkeypatch) -> None:
     """With pyudev nobody has to look; without udev's rules in a container either."""
     pytest.importorskip("pyudev")
-    monkeypatch.setattr(_watch, "PERIOD", 60.0)
+    monkeypatch.setattr(finding, "PERIOD", 60.0)
     adapter = plug("ESAIR3")
     identity = "usb:2341:0043:ESAIR3"
     adapter.unplug()

@@ -12,16 +12,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from esair.buses._bus import Bus, LateWire, Wire, wanted
+from esair.buses._bus import Bus, BusStats, LateWire, Wire, wanted
 from esair.buses._media import MEDIA, Medium
-from esair.buses._stats import BusStats
 from esair.loading import late
 
 if TYPE_CHECKING:
-    from esair.buses._awaited import Awaited
     from esair.buses._exchanges import Exchange, Exchanges
     from esair.buses._failures import Failures
-    from esair.buses._inbox import Inbox
+    from esair.buses._inbox import Awaited, Inbox
     from esair.buses._link_bus import LinkBus
     from esair.buses._opening import open_on, shut_on
     from esair.buses.can import (
@@ -68,11 +66,10 @@ _late, _ = late(
     __name__,
     {
         "can": "CanBus CanState Frame FrameKind FrameLink python_can",
-        "_awaited": "Awaited",
         "_exchanges": "Exchange Exchanges",
         "_failures": "Failures",
         "i2c": "I2CBus MessageLink RegisterLink",
-        "_inbox": "Inbox",
+        "_inbox": "Inbox Awaited",
         "_link_bus": "LinkBus",
         "serial": "SerialBus SerialLink",
         "_opening": "open_on shut_on",

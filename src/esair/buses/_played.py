@@ -12,8 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from esair.buses._bus import TURN_LIMIT
-from esair.buses._chips import MemoryWire
-from esair.buses._failures import Failures, os_error
+from esair.buses._failures import Failures, MemoryWire, os_error
 from esair.buses._inbox import within
 from esair.buses._link_bus import L, LinkBus
 from esair.exceptions import DeviceLostError

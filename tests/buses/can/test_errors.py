@@ -10,8 +10,8 @@ import pytest
 from hypothesis import strategies as st
 
 from esair.buses import CanState
-from esair.buses.can._errors import decode_error
-from esair.buses.can._interface import decode_link, is_there, look_up
+from esair.buses.can._frame import decode_error
+from esair.buses.can._interfaces import decode_link, is_there, look_up
 
 pytestmark = pytest.mark.fault("C02", "C03")
 

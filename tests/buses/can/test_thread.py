@@ -16,8 +16,8 @@ import pytest
 from tests.patience import within
 
 from esair.buses import CanBus, CanState
-from esair.buses.can import ALL, Mask, _python_can, _thread_node
-from esair.buses.can._interface import Interface
+from esair.buses.can import ALL, Mask, _python_can
+from esair.buses.can._interfaces import Interface
 from esair.exceptions import (
     ConfigError,
     DeviceLostError,
@@ -275,7 +275,7 @@ async def test_a_reader_that_hangs_is_a_loss(
     made: list[Scripted], bus: CanBus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A driver that does not come back from its recv is found out by its heartbeat."""
-    monkeypatch.setattr(_thread_node, "HEARTBEAT", 0.3)
+    monkeypatch.setattr(_python_can, "HEARTBEAT", 0.3)
     await bus.open()
     inbox = bus.frames(1)
     hang = threading.Event()
@@ -292,7 +292,7 @@ async def test_a_quiet_bus_is_no_dead_reader(
     made: list[Scripted], bus: CanBus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Who waits for frames that do not come shows that it is alive."""
-    monkeypatch.setattr(_thread_node, "HEARTBEAT", 0.3)
+    monkeypatch.setattr(_python_can, "HEARTBEAT", 0.3)
     await bus.open()
 
     await asyncio.sleep(1.5)

@@ -12,11 +12,20 @@ from esair.loading import late
 
 if TYPE_CHECKING:
     from esair.buses.can._bus import CanBus
-    from esair.buses.can._errors import CanState
     from esair.buses.can._fake import FakeCan
     from esair.buses.can._far_end import MemoryCan
-    from esair.buses.can._frame import FD_SIZES, CanWire, Frame, FrameKind, FrameLink
-    from esair.buses.can._ids import ALL, Filter, Ids, Mask
+    from esair.buses.can._frame import (
+        ALL,
+        FD_SIZES,
+        CanState,
+        CanWire,
+        Filter,
+        Frame,
+        FrameKind,
+        FrameLink,
+        Ids,
+        Mask,
+    )
     from esair.buses.can._interfaces import devices, toml
     from esair.buses.can._python_can import python_can
 
@@ -42,10 +51,8 @@ __all__ = [
 __getattr__, __dir__ = late(
     __name__,
     {
-        "_ids": "ALL Filter Ids Mask",
-        "_frame": "FD_SIZES CanWire Frame FrameKind FrameLink",
+        "_frame": "FD_SIZES CanWire Frame FrameKind FrameLink CanState ALL Filter Ids Mask",
         "_bus": "CanBus",
-        "_errors": "CanState",
         "_fake": "FakeCan",
         "_far_end": "MemoryCan",
         "_interfaces": "devices toml",

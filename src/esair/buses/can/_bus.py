@@ -8,12 +8,22 @@ import errno
 from collections.abc import Callable, Hashable
 from typing import Any, Final, Literal
 
-from esair.buses._bus import Bus, Wire, listen
+from esair.buses._bus import Bus, BusStats, Wire, listen
 from esair.buses._inbox import Inbox, within
-from esair.buses._stats import BusStats
-from esair.buses.can._errors import CanState, ErrorFrame, decode_error
-from esair.buses.can._frame import Frame, FrameKind, FrameLink, check_data
-from esair.buses.can._ids import EXTENDED, Filter, Ids, filters_of, key_of
+from esair.buses.can._frame import (
+    EXTENDED,
+    CanState,
+    ErrorFrame,
+    Filter,
+    Frame,
+    FrameKind,
+    FrameLink,
+    Ids,
+    check_data,
+    decode_error,
+    filters_of,
+    key_of,
+)
 from esair.buses.can._inbox import FrameInbox, NewestInbox
 from esair.exceptions import (
     BusyError,
@@ -536,6 +546,6 @@ class CanBus(Bus):
         self.lost(loss)
 
     def _look(self) -> Hashable | None:
-        from esair.buses.can._interface import is_there
+        from esair.buses.can._interfaces import is_there
 
         return is_there(self.channel)

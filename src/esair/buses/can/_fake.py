@@ -6,13 +6,20 @@ import asyncio
 from collections.abc import Callable, Iterable
 from typing import Any, TypeAlias
 
-from esair.buses._awaited import Awaited, Sent
 from esair.buses._bus import listen
+from esair.buses._inbox import Awaited, Sent
 from esair.buses.can._bus import CanBus
-from esair.buses.can._errors import BUS_OFF, CONTROLLER, CONTROLLER_BITS, CanState
 from esair.buses.can._far_end import MemoryCan
-from esair.buses.can._frame import Frame, FrameKind, check_data
-from esair.buses.can._ids import key_of
+from esair.buses.can._frame import (
+    BUS_OFF,
+    CONTROLLER,
+    CONTROLLER_BITS,
+    CanState,
+    Frame,
+    FrameKind,
+    check_data,
+    key_of,
+)
 
 SENT_LIMIT = 100_000
 """How many frames of the robot are remembered; then the newest win."""

@@ -7,9 +7,14 @@ import collections
 from collections.abc import Callable, Collection
 
 from esair.buses._failures import Failures
-from esair.buses.can._errors import CanState
-from esair.buses.can._frame import CanWire, Frame, FrameKind, FrameLink
-from esair.buses.can._ids import Filter
+from esair.buses.can._frame import (
+    CanState,
+    CanWire,
+    Filter,
+    Frame,
+    FrameKind,
+    FrameLink,
+)
 from esair.loop import clock_of
 
 Received = Callable[[Frame], None]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from esair.buses._bus import BusStats
 from esair.buses._inbox import Inbox
-from esair.buses._stats import BusStats
 from esair.buses.can._frame import Frame
 
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
+import socket
+import struct
+import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
-from esair.buses.can._errors import CanState
-from esair.buses.can._interface import Interface, look_up
+from esair.buses.can._frame import CanState
 from esair.buses.finding import (
     ROOT,
     Device,
@@ -19,6 +23,105 @@ from esair.buses.finding import (
     usb_device,
     words_of,
 )
+
+_HEADER: Final = struct.Struct("=IHHII")  # length, type, flags, sequence, port
+_LINK: Final = struct.Struct("=BxHiII")  # family, type, index, flags, change
+_ATTRIBUTE: Final = struct.Struct("=HH")  # length, type
+
+_ERROR, _NEW_LINK, _GET_LINK, _REQUEST = 2, 16, 18, 1
+_NAME, _MTU, _LINK_INFO, _INFO_KIND, _INFO_DATA = 3, 4, 18, 1, 2
+_CAN_TIMING, _CAN_STATE = 1, 4
+_UP = 0x1
+_TYPE_MASK = 0x3FFF  # the upper bits of an attribute's type say how it is made
+
+
+class Interface(NamedTuple):
+    """A network interface.
+
+    Attributes:
+        number: What the kernel counts it by; one that is made again gets another.
+        is_up: Whether it was set up.
+        mtu: How many bytes a frame of its socket has at most: 16, or 72 with CAN FD.
+        state: The state of its controller; active where there is none, as with vcan.
+        bitrate: Bits per second that the controller is set to; None if it is not set,
+            or there is none.
+        has_controller: Whether there is a controller that has a state.
+    """
+
+    number: int
+    is_up: bool
+    mtu: int
+    state: CanState
+    bitrate: int | None = None
+    has_controller: bool = False
+
+
+def look_up(name: str) -> Interface:
+    """Ask the kernel for an interface. Blocks for some microseconds."""
+    wanted = os.fsencode(name) + b"\0"
+    attribute = _ATTRIBUTE.pack(_ATTRIBUTE.size + len(wanted), _NAME) + wanted
+    body = _LINK.pack(0, 0, 0, 0, 0) + attribute.ljust(
+        -(-len(attribute) // 4) * 4, b"\0"
+    )
+    request = _HEADER.pack(_HEADER.size + len(body), _GET_LINK, _REQUEST, 1, 0) + body
+    with socket.socket(
+        socket.AF_NETLINK, socket.SOCK_RAW | socket.SOCK_CLOEXEC, socket.NETLINK_ROUTE
+    ) as kernel:
+        kernel.settimeout(1.0)
+        kernel.send(request)
+        return decode_link(kernel.recv(65_536))
+
+
+def is_there(name: str) -> tuple[int, bool] | None:
+    """Return what tells one arrival of an interface from the next; None if it is not.
+
+    An interface that is down, or whose controller is bus-off, is not there.
+    """
+    try:
+        found = look_up(name)
+    except OSError:
+        return None
+    if not found.is_up or found.state is CanState.BUS_OFF:
+        return None
+    return found.number, True
+
+
+def decode_link(answer: bytes) -> Interface:
+    """Decode the kernel's answer."""
+    try:
+        _, kind, _, _, _ = _HEADER.unpack_from(answer)
+        if kind == _ERROR:
+            (number,) = struct.unpack_from("=i", answer, _HEADER.size)
+            raise OSError(-number, os.strerror(-number))
+        if kind != _NEW_LINK:
+            raise OSError(errno.EPROTO, f"the kernel answered with message {kind}")
+        _, _, index, flags, _ = _LINK.unpack_from(answer, _HEADER.size)
+    except struct.error as error:
+        raise OSError(errno.EPROTO, "the kernel's answer is too short") from error
+    attributes = dict(_attributes(answer[_HEADER.size + _LINK.size :]))
+    info = dict(_attributes(attributes.get(_LINK_INFO, b"")))
+    state, bitrate, has_controller = CanState.ACTIVE, 0, False
+    if info.get(_INFO_KIND, b"").rstrip(b"\0") == b"can":
+        data = dict(_attributes(info.get(_INFO_DATA, b"")))
+        has_controller = _CAN_STATE in data
+        # Above bus-off there are "stopped" and "sleeping": the interface is down.
+        with contextlib.suppress(ValueError):
+            state = CanState(int.from_bytes(data.get(_CAN_STATE, b""), sys.byteorder))
+        bitrate = int.from_bytes(data.get(_CAN_TIMING, b"")[:4], sys.byteorder)
+    mtu = int.from_bytes(attributes.get(_MTU, b""), sys.byteorder)
+    is_up = bool(flags & _UP)
+    return Interface(index, is_up, mtu, state, bitrate or None, has_controller)
+
+
+def _attributes(data: bytes) -> Iterator[tuple[int, bytes]]:
+    place = 0
+    while place + _ATTRIBUTE.size <= len(data):
+        length, kind = _ATTRIBUTE.unpack_from(data, place)
+        if length < _ATTRIBUTE.size:
+            return
+        yield kind & _TYPE_MASK, data[place + _ATTRIBUTE.size : place + length]
+        place += -(-length // 4) * 4
+
 
 ARPHRD_CAN = "280"  # linux/if_arp.h
 IFF_UP = 1

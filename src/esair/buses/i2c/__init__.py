@@ -11,8 +11,7 @@ from esair.loading import late
 
 if TYPE_CHECKING:
     from esair.buses.i2c._adapters import devices, toml
-    from esair.buses.i2c._bus import I2CBus
-    from esair.buses.i2c._errors import SILENT
+    from esair.buses.i2c._bus import SILENT, I2CBus
     from esair.buses.i2c._fake import FakeI2c, Transfer
     from esair.buses.i2c._far_end import Chip, ChipBus, Registers
     from esair.buses.i2c._link import MessageLink, RegisterLink, probe, transfer
@@ -36,10 +35,9 @@ __all__ = [
 __getattr__, __dir__ = late(
     __name__,
     {
-        "_errors": "SILENT",
         "_far_end": "Chip ChipBus Registers",
         "_fake": "FakeI2c Transfer",
-        "_bus": "I2CBus",
+        "_bus": "I2CBus SILENT",
         "_link": "MessageLink RegisterLink probe transfer",
         "_adapters": "devices toml",
     },

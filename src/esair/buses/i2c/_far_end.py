@@ -6,8 +6,7 @@ import errno
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
-from esair.buses._chips import MemoryWire
-from esair.buses._failures import os_error
+from esair.buses._failures import MemoryWire, os_error
 
 FUNCS = 0x0EFF0001
 """What `ChipBus` can do: plain I²C, and SMBus by it; as the kernel's bits."""

@@ -7,10 +7,10 @@ import random
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from esair.buses._awaited import Awaited, Sent
 from esair.buses._bus import Bus, LateWire
 from esair.buses._exchanges import Exchange
 from esair.buses._failures import Failures
+from esair.buses._inbox import Awaited, Sent
 from esair.buses.serial._bus import SerialBus
 from esair.buses.serial._far_end import MemoryLine, PtyLine
 from esair.exceptions import DeviceLostError

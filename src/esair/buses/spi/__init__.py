@@ -11,10 +11,8 @@ from esair.loading import late
 
 if TYPE_CHECKING:
     from esair.buses.spi._bus import SpiBus
-    from esair.buses.spi._devices import devices, toml
-    from esair.buses.spi._fake import Exchange, FakeSpi
-    from esair.buses.spi._far_end import SpiChip, SpiChips, SpiRegisters
-    from esair.buses.spi._kernel import SpiLink
+    from esair.buses.spi._fake import Exchange, FakeSpi, SpiChip, SpiChips, SpiRegisters
+    from esair.buses.spi._kernel import SpiLink, devices, toml
 
 __all__ = [
     "Exchange",
@@ -31,10 +29,8 @@ __all__ = [
 __getattr__, __dir__ = late(
     __name__,
     {
-        "_fake": "Exchange FakeSpi",
+        "_fake": "Exchange FakeSpi SpiChip SpiChips SpiRegisters",
         "_bus": "SpiBus",
-        "_far_end": "SpiChip SpiChips SpiRegisters",
-        "_kernel": "SpiLink",
-        "_devices": "devices toml",
+        "_kernel": "SpiLink devices toml",
     },
 )

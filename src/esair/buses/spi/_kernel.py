@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 from typing import Any, Protocol
 
+from esair.buses.finding import ROOT, Device, entries, permission
 from esair.exceptions import ConfigError
 
 LIMIT = 4096
@@ -111,3 +112,32 @@ class KernelLink:
         for device in self._selected.values():
             with contextlib.suppress(OSError):
                 device.close()
+
+
+def devices(root: Path = ROOT) -> list[Device]:
+    """Return the SPI buses that are there, by their numbers."""
+    numbers = {
+        int(number)
+        for place in entries(root / "sys/class/spidev")
+        if (number := place.name.removeprefix("spidev").partition(".")[0]).isdecimal()
+    }
+    found = []
+    for bus in sorted(numbers):
+        paths = selects(bus, root)
+        if paths:
+            first = next(iter(paths.values()))
+            found.append(
+                Device(
+                    kind="spi",
+                    path=first,
+                    address=str(bus),
+                    description=f"chip selects {', '.join(map(str, paths))}",
+                    state=permission(root / first.lstrip("/")),
+                )
+            )
+    return found
+
+
+def toml(device: Device, name: str) -> list[str]:
+    """Return the lines of a robot.toml for a bus."""
+    return [f"[bus.spi{device.address}]", 'type = "spi"', f"bus = {device.address}"]

@@ -40,8 +40,14 @@ from esair.loading import of_extra
 
 with of_extra("dbc"):
     from esair.drivers.dbc._actuator import DbcActuator
-    from esair.drivers.dbc._codec import FrameError, MessageCodec, bounds, choices_of
-    from esair.drivers.dbc._file import find_message, find_signal
+    from esair.drivers.dbc._codec import (
+        FrameError,
+        MessageCodec,
+        bounds,
+        choices_of,
+        find_message,
+        find_signal,
+    )
     from esair.drivers.dbc._sensor import DbcSensor
 
 __all__ = [

@@ -12,7 +12,6 @@ from cantools.database.can import Signal
 from esair.buses import CanBus
 from esair.drivers._files import narrowed
 from esair.drivers._on_bus import ended
-from esair.drivers.dbc._claim import Claim, checked_name, claim_of
 from esair.drivers.dbc._codec import (
     NUMBERS,
     FrameError,
@@ -21,9 +20,18 @@ from esair.drivers.dbc._codec import (
     at_rest,
     bounds,
     choices_of,
+    find_message,
+    find_signal,
+    modulus_of,
 )
-from esair.drivers.dbc._file import find_message, find_signal, modulus_of
-from esair.drivers.dbc._j1939 import SOURCE, id_to, is_j1939
+from esair.drivers.dbc._j1939 import (
+    SOURCE,
+    Claim,
+    checked_name,
+    claim_of,
+    id_to,
+    is_j1939,
+)
 from esair.drivers.dbc._packets import seconds_for, send_in_packets
 from esair.exceptions import (
     BadValueError,

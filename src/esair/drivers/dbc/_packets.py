@@ -15,16 +15,17 @@ from typing import Final
 from esair.buses import CanBus, Exchanges, Frame
 from esair.buses.can import Mask
 from esair.drivers._on_bus import shared
-from esair.drivers.dbc._j1939 import BROADCAST_FORMATS, SOURCE
-from esair.drivers.dbc._transport import (
+from esair.drivers.dbc._j1939 import (
     ABORT,
     ANNOUNCE,
     BAM,
+    BROADCAST_FORMATS,
     CTS,
     DONE,
     MOST,
     PACKETS,
     RTS,
+    SOURCE,
     group_of,
 )
 from esair.exceptions import DeviceFaultError, EsairError

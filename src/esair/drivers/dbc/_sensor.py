@@ -10,10 +10,15 @@ from typing import Any, Literal, Unpack
 from esair.buses import CanBus, Frame, Inbox
 from esair.buses.can import Mask
 from esair.drivers._on_bus import heard
-from esair.drivers.dbc._codec import FrameError, MessageCodec, Signals
-from esair.drivers.dbc._file import find_message, find_signal, modulus_of
-from esair.drivers.dbc._j1939 import SOURCE, Source, ids_from
-from esair.drivers.dbc._transport import TRANSPORT, Reassembly
+from esair.drivers.dbc._codec import (
+    FrameError,
+    MessageCodec,
+    Signals,
+    find_message,
+    find_signal,
+    modulus_of,
+)
+from esair.drivers.dbc._j1939 import SOURCE, TRANSPORT, Reassembly, Source, ids_from
 from esair.exceptions import DeviceFaultError, DeviceLostError
 from esair.resources import Sensor, SensorSettings
 from esair.values import check_choice, check_seconds, check_whole

@@ -7,10 +7,22 @@ from typing import Final, NamedTuple
 
 from esair.buses import Frame
 from esair.buses.can import FakeCan
-from esair.drivers.dbc._claim import ALL, CLAIM, CLAIMS, REQUESTS, asks_for_claims
-from esair.drivers.dbc._j1939 import SOURCE
+from esair.drivers.dbc._j1939 import (
+    ABORT,
+    ALL,
+    ANNOUNCE,
+    BAM,
+    CLAIM,
+    CLAIMS,
+    CTS,
+    DONE,
+    PACKETS,
+    REQUESTS,
+    RTS,
+    SOURCE,
+    asks_for_claims,
+)
 from esair.drivers.dbc._packets import SIZE
-from esair.drivers.dbc._transport import ABORT, ANNOUNCE, BAM, CTS, DONE, PACKETS, RTS
 
 REQUEST: Final = 0x18EA_0000
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import MappingProxyType
 
 from esair.buses.i2c import Registers
-from esair.drivers.pca9685._chip import (
+from esair.drivers.pca9685 import (
     AUTO_INCREMENT,
     FULL,
     LED0_ON_L,

@@ -11,7 +11,7 @@ from typing import Unpack
 
 import attrs
 
-from esair.drivers.pca9685._chip import (
+from esair.drivers.pca9685 import (
     STEPS,
     ChannelSettings,
     OnChannel,
