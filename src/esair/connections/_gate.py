@@ -15,6 +15,7 @@ from collections.abc import Callable, Generator, Iterable
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 from esair.exceptions import DeviceLostError, EsairError, StoppingError
+from esair.loop import REACHED
 from esair.messages import Refused, ResourceState, Why
 
 if TYPE_CHECKING:
@@ -118,8 +119,6 @@ class Stopped(tuple[LastCommand, ...]):
         return f"Stopped({super().__repr__()}, reason={self.reason!r})"
 
 
-EARLY = 1e-6  # timers may fire a hair early
-
 USER = "user"  # who holds an actuator that is being replaced
 
 READY = ResourceState.READY  # hot
@@ -209,7 +208,7 @@ class Hold:
 
     def present(self, now: float) -> Registration | None:
         """Return who holds it now; None when the hold is over."""
-        return self.holder if now + EARLY < self.begun + self.seconds else None
+        return self.holder if now + REACHED < self.begun + self.seconds else None
 
     def keeps_away(self, right: Registration, now: float) -> bool:
         """Tell whether the holder is in the way of somebody's command."""
@@ -217,7 +216,7 @@ class Hold:
         return (
             holder is not None
             and holder is not right
-            and now + EARLY < self.begun + self.seconds
+            and now + REACHED < self.begun + self.seconds
             and right.priority <= holder.priority
             and holder.behavior != right.behavior
         )

@@ -14,11 +14,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from esair.connections._calls import Apply, Call
-from esair.connections._gate import EARLY, Gate, Hold, verdict
+from esair.connections._gate import Gate, Hold, verdict
 from esair.connections._values import is_opaque, is_same, is_weaker, weaker_of
 from esair.connections._wire import IDLE, SafeCommand, Wire
 from esair.exceptions import BadValueError, EsairError, describe
-from esair.loop import DeadMan, OneShot, Order, Scheduler, clock_of, ignore
+from esair.loop import REACHED, DeadMan, OneShot, Order, Scheduler, clock_of, ignore
 from esair.messages import Refused, ResourceState
 from esair.resources import HOLD, REFUSE
 
@@ -37,7 +37,7 @@ BLIND: Any = object()
 Judge = Callable[[Any], Any]
 """Gets a command; returns what of it may pass, None for nothing, or `BLIND`."""
 
-_GRACE = 1e-5  # more than `EARLY`
+_GRACE = 1e-5  # more than `REACHED`
 
 _log = logging.getLogger("esair")
 
@@ -143,7 +143,7 @@ class Protection:
 
         The guard is another component's code: whatever it does ends here.
         """
-        if now + EARLY < self.muted_until:
+        if now + REACHED < self.muted_until:
             return command
         if self.latched:
             return None
@@ -318,7 +318,7 @@ class Protections:
             tuple(
                 each
                 for each in entries
-                if not each.guards and each.reason and now + EARLY >= each.muted_until
+                if not each.guards and each.reason and now + REACHED >= each.muted_until
             ),
             tuple(each for each in entries if each.guards),
         )
@@ -470,7 +470,7 @@ class Stillness:
             mover is not None
             and mover is hold.writer
             and mover.priority > holds[0].priority
-            and self._device.time() - EARLY < hold.until
+            and self._device.time() - REACHED < hold.until
         ):
             self.look_when_over()
         else:
