@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import collections
 import gc
 import json
 import logging
@@ -34,6 +35,7 @@ from benchmarks.cases.components import (
 )
 from benchmarks.cases.data_path import PlainUser
 from benchmarks.cases.devices import Arrival, Command, Reflex
+from esair.journal import Event, Kind
 from esair.testing import FakeCan, VirtualLoop
 
 KEPT = Path(__file__).with_name("counts.json")
@@ -153,6 +155,23 @@ async def steps() -> dict[str, Count]:
     return found
 
 
+async def heard() -> dict[str, Count]:
+    """A step that writes, by who listens to the journal."""
+    found = {}
+    kept: collections.deque[Event] = collections.deque(maxlen=10)
+    for case, plain, kinds in (
+        ("P18 a writing step, all kinds heard", False, Kind),
+        ("P18 a writing step, all kinds heard, plain drivers", True, Kind),
+        ("P18 a writing step, another kind heard", False, [Kind.LOG]),
+    ):
+        robot = reacting_robot(REACTIONS, acting=1, plain=plain)
+        robot.journal.listen(kept.append, kinds=kinds)
+        async with robot:
+            await asyncio.sleep(1.0005)
+            found[case] = await counted(lambda: asyncio.sleep(0.2), 20 * REACTIONS)
+    return found
+
+
 async def frame_to_command() -> dict[str, Count]:
     can = FakeCan("wire")
     robot = esair.Robot(
@@ -200,6 +219,7 @@ ROWS: tuple[Callable[[], Awaitable[dict[str, Count]]], ...] = (
     put_and_get,
     data_path,
     steps,
+    heard,
     frame_to_command,
     changes,
 )

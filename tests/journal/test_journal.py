@@ -10,7 +10,7 @@ import time
 import pytest
 
 import esair
-from esair.journal import SLICE, Event, Journal, Kind
+from esair.journal import BACKLOG, SLICE, Event, Journal, Kind
 
 pytestmark = [pytest.mark.promise("TURN-5"), pytest.mark.virtual_clock]
 
@@ -237,7 +237,7 @@ async def test_a_listener_that_was_stopped_hears_nothing():
     journal.publish(Kind.SENT, "wheels")
     await asyncio.sleep(0)
     assert heard == []
-    assert not journal.heard
+    assert not journal.heard.sent
 
 
 async def test_a_listener_without_end_does_not_keep_the_end_waiting():
@@ -439,3 +439,51 @@ def test_only_a_plain_function_can_listen() -> None:
     for wrong in (None, "print", later):
         with pytest.raises(esair.ConfigError, match="a plain function"):
             Journal().listen(wrong)  # type: ignore[arg-type]
+
+
+async def test_a_kind_is_heard_while_anybody_listens_to_it():
+    """What tells much looks there first; each kind by itself."""
+    journal = Journal()
+
+    def heard() -> set[str]:
+        return {k for k in type(journal.heard).__slots__ if getattr(journal.heard, k)}
+
+    assert heard() == set()
+    some = journal.listen(lambda _: None, kinds=[Kind.SENT, Kind.PUT, Kind.UP])
+    journal.listen(lambda _: None, kinds=[Kind.SENT])
+    assert heard() == {"sent", "put"}
+    some.stop()
+    assert heard() == {"sent"}
+    journal.listen(lambda _: None)
+    assert heard() == {*type(journal.heard).__slots__} <= {*Kind}
+
+
+async def test_one_that_comes_in_a_turn_hears_what_comes_after():
+    """And one that goes hears nothing; others hear all, in order."""
+    journal, first, second = Journal(), list[int](), list[int]()
+    journal.start(asyncio.get_running_loop())
+    journal.listen(lambda event: first.append(event.number))
+    journal.publish(Kind.SENT, "wheels")
+    late = journal.listen(lambda event: second.append(event.number))
+    journal.publish(Kind.SENT, "wheels")
+    await asyncio.sleep(0)
+    late.stop()
+    journal.publish(Kind.SENT, "wheels")
+    await asyncio.sleep(0)
+    assert (first, second) == ([1, 2, 3], [2])
+
+
+async def test_what_waits_is_bounded_within_a_turn_too():
+    """More events than the backlog in one turn: the newest stay, the rest is counted."""
+    journal, heard = Journal(), list[int]()
+    listener = journal.listen(lambda event: heard.append(event.number))
+    journal.start(asyncio.get_running_loop())
+    most = 0
+    for _ in range(3 * BACKLOG):
+        journal.publish(Kind.SENT, "wheels")
+        most = max(most, len(journal._made))
+    assert most <= BACKLOG + 1
+    await asyncio.sleep(0.3)
+    assert heard[-1] == 3 * BACKLOG
+    assert listener.heard == len(heard) == BACKLOG
+    assert listener.dropped == 2 * BACKLOG

@@ -322,7 +322,7 @@ class ActuatorChannel(Device):
         if now is None:
             time = self.time  # hot
             now = time()
-        held, journal, is_plain = self.hold, self._journal, self._is_plain
+        held, heard, is_plain = self.hold, self._journal.heard, self._is_plain
         holder = held.holder
         # One shortcut: what nothing stands in the way of needs no verdict.  # hot
         if not (
@@ -333,7 +333,7 @@ class ActuatorChannel(Device):
             refused = verdict(self.gate, held, registration, now)
             if refused is not None:
                 return self._kept_away(registration, command, refused, now)
-        if journal.heard:
+        if heard.command:
             self.wanted(registration, command)
         asked = command
         if ready is None:
@@ -365,10 +365,14 @@ class ActuatorChannel(Device):
         except EsairError as error:
             failed = self._in_doubt(error, command)
             raise failed from failed.__cause__
-        if sent is not None or wire.applied is not None or journal.heard:
+        if sent is not None or wire.applied is not None:
             return self._sent(sent, registration, command, asked, by)
         # Most drivers say nothing.
         self.writes += 1
+        if heard.applied:
+            self._journal.publish(
+                Kind.APPLIED, self.name, registration.behavior, command
+            )
         if not told:
             return _SENT
         written = _new(Written)
@@ -406,7 +410,8 @@ class ActuatorChannel(Device):
         """Answer what the verdict is against, but for what asks to be safe."""
         if not isinstance(refused, Refused):
             raise refused
-        self.wanted(registration, command)
+        if self._journal.heard.command:
+            self.wanted(registration, command)
         gate = self.gate
         if gate.holds and self.stillness.is_still(command):
             held = self.hold
@@ -515,7 +520,7 @@ class ActuatorChannel(Device):
             applied = applied.command
         if applied is None:
             applied = command
-        if self._journal.heard:
+        if self._journal.heard.applied:
             self._journal.publish(
                 Kind.APPLIED, self.name, registration.behavior, applied
             )
@@ -537,23 +542,22 @@ class ActuatorChannel(Device):
         self, registration: Registration, command: Any, winner: Registration
     ) -> Refused:
         """Refuse a command that another one of the same turn has beaten."""
-        self.wanted(registration, command)
+        if self._journal.heard.command:
+            self.wanted(registration, command)
         refused = self.hold.refusal(self.hold.holder or winner)
         return self._refuse(registration, refused)
 
     def wanted(self, registration: Registration, command: Any) -> None:
-        """Take note of what somebody wants sent, whatever becomes of it."""
-        if self._journal.heard:
+        """Tell what somebody wants sent, whatever becomes of it."""
+        if self.wire.copies:
             # It is read when it may have changed; it may be an object of any class.
             with contextlib.suppress(Exception):
                 command = self.wire.copied(command)
-            self._journal.publish(
-                Kind.COMMAND, self.name, registration.behavior, command
-            )
+        self._journal.publish(Kind.COMMAND, self.name, registration.behavior, command)
 
     def _refuse(self, registration: Registration, refused: Refused) -> Refused:
         self.refusals += 1
-        if self._journal.heard:
+        if self._journal.heard.refused:
             self._journal.publish(
                 Kind.REFUSED, self.name, registration.behavior, refused
             )
@@ -581,7 +585,8 @@ class ActuatorChannel(Device):
             if refused is not None:
                 waiting.remove(write)
                 if isinstance(refused, Refused):
-                    self.wanted(right, write.command)
+                    if self._journal.heard.command:
+                        self.wanted(right, write.command)
                     self._refuse(right, refused)
                 write.end(refused)
         while waiting and self.wire.lane is None and self.safe.state is IDLE:

@@ -106,7 +106,7 @@ class Registrations:
         self.live[registration.number] = registration
         of_resource = self._of_resource.setdefault(registration.resource, {})
         of_resource[registration.number] = registration
-        if self.journal.heard:
+        if self.journal.heard.registered:
             self.journal.publish(Kind.REGISTERED, *terms[:3])
         return registration
 
@@ -121,7 +121,7 @@ class Registrations:
         if not of_resource:
             del self._of_resource[registration.resource]
         registration.end(reason)
-        if self.journal.heard:
+        if self.journal.heard.revoked:
             self.journal.publish(Kind.REVOKED, *registration.terms[:3])
         return True
 

@@ -346,7 +346,7 @@ class SensorChannel(Device):
             reading = StampedReading.at(value, time, sequence, now)
         self.newest = reading
         self._history.append(reading)
-        if self._journal.heard:
+        if self._journal.heard.reading:
             self._journal.publish(Kind.READING, self.name, "", reading)
         waiting = self.asking.waiting
         if waiting.readers:

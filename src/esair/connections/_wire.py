@@ -170,7 +170,7 @@ class Wire:
         # A copy of its own: who has the answer may change what is in it.
         told.command = copy.deepcopy(command) if self.copies else command
         told.is_safe = False
-        if self._journal.heard:
+        if self._journal.heard.sent:
             self._journal.publish(Kind.SENT, self._device.name, behavior, command)
         self.lane = _NOW
         try:
@@ -209,7 +209,7 @@ class Wire:
         told, device = self.told, self._device
         translated = self.translated(error, kind)
         told.error = describe(translated)
-        if self._journal.heard:
+        if self._journal.heard.unanswered:
             self._journal.publish(
                 Kind.UNANSWERED, device.name, "", told.command, told.error
             )
@@ -483,7 +483,7 @@ class SafeCommand:
             if wire.watch is not None:
                 wire.watch.is_safe()
             journal = device.registrations.journal
-            if journal.heard:
+            if journal.heard.safe:
                 journal.publish(Kind.SAFE, device.name, "", command)
 
     async def _outcome(self, call: Call) -> Any:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import collections
+import functools
 import inspect
 import logging
+import math
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
 
 from esair.exceptions import ConfigError, describe
 from esair.journal._event import Event, Kind
@@ -24,8 +26,10 @@ SLICE = 0.001
 LAST = 0.5
 """How long one listener may take at the end before its other events are dropped, in s."""
 
-_new = tuple.__new__
-"""Makes an event without the checks of its arguments, which are here."""
+_event = functools.partial(tuple.__new__, Event)
+"""Makes an event of its fields without the checks of its arguments, which are here."""
+
+_clock = time.perf_counter
 
 _log = logging.getLogger("esair")
 
@@ -47,22 +51,58 @@ Counted = Callable[[], Iterable[tuple[str, Mapping[str, int]]]]
 """Returns the name of each component of a group with some of its counters."""
 
 
+class Heard:
+    """Whether anybody listens to a kind of which there is much: each by its value.
+
+    What tells of them looks here first; it is one object for the life of its journal.
+    """
+
+    __slots__ = (
+        "answered",
+        "applied",
+        "asked",
+        "command",
+        "got",
+        "log",
+        "put",
+        "reading",
+        "refused",
+        "registered",
+        "revoked",
+        "safe",
+        "sent",
+        "unanswered",
+    )
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, kind: str) -> bool: ...
+
+    def __init__(self) -> None:
+        self.are(())
+
+    def are(self, kinds: Collection[Kind]) -> None:
+        """Have these heard from now on, and no others."""
+        for kind in self.__slots__:
+            setattr(self, kind, kind in kinds)
+
+
 class Listener:
     """One function that hears of events.
 
     Attributes:
-        heard: How many events it was told.
+        given: How many events were for it.
         dropped: How many it was not told, because too many waited.
         is_waited_for: Whether the turn goes on until it has heard all: time is virtual.
     """
 
     __slots__ = (
         "_journal",
-        "_kinds",
         "dropped",
         "function",
-        "heard",
+        "given",
         "is_waited_for",
+        "kinds",
         "waiting",
     )
 
@@ -70,25 +110,31 @@ class Listener:
         self,
         journal: Journal,
         function: Callable[[Event], object],
-        kinds: frozenset[Kind] | None,
+        kinds: frozenset[Kind],
         backlog: int,
     ) -> None:
         self._journal = journal
-        self._kinds = kinds
+        self.kinds: frozenset[Kind] = kinds
         self.function: Callable[[Event], object] = function
         self.waiting: collections.deque[Event] = collections.deque(maxlen=backlog)
-        self.heard: int = 0
+        self.given: int = 0
         self.dropped: int = 0
         self.is_waited_for: bool = False
 
-    def take(self, event: Event) -> None:
-        """Put an event into the queue; the oldest makes room."""
-        if self._kinds is not None and event.kind not in self._kinds:
-            return
+    @property
+    def heard(self) -> int:
+        """How many events it was told."""
+        return self.given - self.dropped - len(self.waiting)
+
+    def take(self, events: list[Event]) -> None:
+        """Put events into the queue; the oldest make room."""
+        if len(self.kinds) < len(Kind):
+            events = [event for event in events if event.kind in self.kinds]
         waiting = self.waiting
-        if len(waiting) == waiting.maxlen:
-            self.dropped += 1
-        waiting.append(event)
+        room = (waiting.maxlen or 0) - len(waiting)
+        self.given += len(events)
+        self.dropped += max(0, len(events) - room)
+        waiting.extend(events)
 
     def stop(self) -> None:
         """Hear no more; what waits is forgotten."""
@@ -99,21 +145,24 @@ class Journal:
     """What happened in a robot, in one order.
 
     An event is made where its effect is, and handed to the listeners at the end of
-    the turn, so that a listener never runs between a check and its effect. While
-    nobody listens an event costs one look at `heard`.
+    the turn, so that a listener never runs between a check and its effect. An event
+    of a kind that nobody listens to costs one look at `heard`.
     """
 
     def __init__(self) -> None:
-        self.heard: bool = False
-        """Whether anybody listens: who has much to tell looks here first."""
+        self.heard: Heard = Heard()
+        """To which kinds anybody listens: what has much to tell looks here first."""
         self.number: int = 0
         """The number of the last event."""
         self._listeners: tuple[Listener, ...] = ()
+        self._made: list[tuple[Any, ...]] = []
+        """The events of this turn that listeners were not given yet."""
         self._residents: dict[Kind, tuple[Callable[[Event], object], ...]] = {}
         self._counted: dict[str, Counted] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         self._time: Callable[[], float] = time.monotonic
         self._flushing = False
+        self._flush_at = 0  # from this number on it does not wait for a flush
         self.ended_listeners: int = 0
         self.dropped: int = 0  # what those who listen no more were not told
         """How many listeners were ended because they raised."""
@@ -146,19 +195,24 @@ class Journal:
         if not callable(function) or inspect.iscoroutinefunction(function):
             told = f"expected a plain function, not {function!r:.80}"
             raise ConfigError("journal", "listen", told)
-        wanted = None if kinds is None else frozenset(Kind(kind) for kind in kinds)
+        wanted = frozenset(Kind if kinds is None else map(Kind, kinds))
         listener = Listener(self, function, wanted, backlog)
-        self._listeners = (*self._listeners, listener)
-        self.heard = True
+        self._are_told(*self._listeners, listener)
         return listener
+
+    def _are_told(self, *listeners: Listener) -> None:
+        self._give()  # what was before is not for one that comes
+        self._listeners = listeners
+        self.heard.are(frozenset[Kind]().union(*(each.kinds for each in listeners)))
 
     def forget(self, listener: Listener) -> None:
         """Tell a listener nothing more."""
+        self._give()
         if listener in self._listeners:
             self.dropped += listener.dropped
-        self._listeners = tuple(each for each in self._listeners if each != listener)
+        listener.given -= len(listener.waiting)
+        self._are_told(*(each for each in self._listeners if each != listener))
         listener.waiting.clear()
-        self.heard = bool(self._listeners)
 
     def attach(self, kind: Kind, function: Callable[[Event], object]) -> None:
         """Have a resident of the robot act on a kind of event in the same step.
@@ -179,22 +233,17 @@ class Journal:
         text: str = "",
     ) -> None:
         """Make an event of an effect; called where the effect is, in the loop."""
-        self.number += 1
-        event = _new(
-            Event, (self.number, self._time(), kind, component, peer, value, text)
-        )
-        listeners = self._listeners
-        if listeners:
-            for listener in listeners:
-                listener.take(event)
-            if not self._flushing and self._loop is not None:
-                self._flushing = True
-                self._loop.call_soon(self._flush)
+        self.number = number = self.number + 1
+        made = (number, self._time(), kind, component, peer, value, text)
+        if self._listeners:
+            self._made.append(made)
+            if number >= self._flush_at:
+                self._flush_soon()
         # Last: what they do are events too, and everybody hears the cause first.
         residents = self._residents
         if kind in residents:
             for resident in residents[kind]:
-                resident(event)
+                resident(_event(made))
 
     def start(self, loop: asyncio.AbstractEventLoop) -> None:
         """Begin to hand over events in a loop, and to use its clock."""
@@ -206,33 +255,51 @@ class Journal:
     def close(self) -> None:
         """Hand over what waits: the robot has stopped, and ends in time."""
         for listener in self._listeners:
-            self._tell(listener, LAST)
+            end = _clock() + LAST
+            self._give()
+            while listener.waiting and (_clock() < end or listener.is_waited_for):
+                self._tell(listener, end - _clock())
+                self._give()
             listener.dropped += len(listener.waiting)
             listener.waiting.clear()
         self._loop = None
 
+    def _give(self) -> None:
+        """Give each listener what was made since the last time."""
+        if self._made:
+            events = list(map(_event, self._made))
+            self._made.clear()
+            for listener in self._listeners:
+                listener.take(events)
+
+    def _flush_soon(self) -> None:
+        if self._flushing or self._loop is None:
+            self._give()  # too many for one turn
+        else:
+            self._flushing = True
+            self._loop.call_soon(self._flush)
+        self._flush_at = self.number + BACKLOG
+
     def _flush(self) -> None:
-        self._flushing = False
-        loop = self._loop
-        if loop is None:
+        self._flushing, self._flush_at = False, 0
+        if self._loop is None:
             return
+        self._give()
         for listener in self._listeners:
             self._tell(listener, SLICE)
-        if any(listener.waiting for listener in self._listeners) and not self._flushing:
-            self._flushing = True
-            loop.call_soon(self._flush)
+        if any(listener.waiting for listener in self._listeners):
+            self._flush_soon()
 
     def _tell(self, listener: Listener, seconds: float) -> None:
-        waiting, function = listener.waiting, listener.function
-        end = time.perf_counter() + seconds
+        waiting, function, clock = listener.waiting, listener.function, _clock
+        end = math.inf if listener.is_waited_for else clock() + seconds
         failed: BaseException | None = None
         here.is_telling = True
         try:
             while waiting:
                 event = waiting.popleft()
-                listener.heard += 1
                 function(event)
-                if time.perf_counter() >= end and not listener.is_waited_for:
+                if clock() >= end:
                     break
         except (Exception, asyncio.CancelledError) as error:  # it is somebody else's
             failed = error
@@ -266,6 +333,7 @@ class Journal:
         The journal's own are under ``"journal"``: ``events``, ``dropped``, and how
         many listeners were ``ended``.
         """
+        self._give()
         sums: dict[str, collections.Counter[str]] = {}
         for counted in self._counted.values():
             for component, counters in counted():

@@ -260,7 +260,7 @@ class LogLines(logging.Handler):
 
     def publish(self, record: logging.LogRecord) -> None:
         """Publish a line; one that the journal or a listener causes is left out."""
-        if self._inside or here.is_telling or not self._journal.heard:
+        if self._inside or here.is_telling or not self._journal.heard.log:
             return
         if self._loop.is_closed():
             return  # closed under a robot that was not stopped: others go on

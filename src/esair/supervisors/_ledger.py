@@ -107,6 +107,6 @@ class Ledger:
         self.ledger.append((kind, sender, receiver, outcome))
         if outcome is Outcome.DELIVERED:
             self.delivered += 1
-            if self.journal.heard:
-                event = Kind.PUT if kind == "put" else Kind.GOT
+            event = Kind.PUT if kind == "put" else Kind.GOT
+            if getattr(self.journal.heard, event):
                 self.journal.publish(event, receiver, sender, data)

@@ -67,7 +67,7 @@ class Mediator(Ledger):
             member.wake()
         self.delivered += 1
         self.ledger.append(("put", sender, receiver, _DELIVERED))
-        if self.journal.heard:
+        if self.journal.heard.put:
             self.journal.publish(Kind.PUT, receiver, sender, data)
         return True
 
@@ -104,7 +104,7 @@ class Mediator(Ledger):
         self.delivered += 1
         self.ledger.append(("get", sender, receiver, _DELIVERED))
         data = member.outbox.pop(0) if member.outbox else member.latest
-        if self.journal.heard:
+        if self.journal.heard.got:
             self.journal.publish(Kind.GOT, receiver, sender, data)
         return data
 
@@ -155,7 +155,7 @@ class Mediator(Ledger):
             request = request.data  # it was taken, and is asked of somebody else
         order = Order(request, sender, queue, by, self)
         self._begin(order, timeout, circle_of_ask(order, queue.busy(), member))
-        if self.journal.heard:
+        if self.journal.heard.asked:
             self.journal.publish(Kind.ASKED, receiver, sender, request)
         queue.roused()
         return await order.outcome(progress)

@@ -127,7 +127,7 @@ class Order(Request):
     ) -> bool:
         ended = super().end(outcome, value, error)
         journal = self._ledger.journal
-        if ended and journal.heard:
+        if ended and journal.heard.answered:
             came = value if error is None else error
             journal.publish(Kind.ANSWERED, self.peer, self.asker, came, outcome.value)
         return ended
