@@ -91,6 +91,7 @@ async def counted(work: Work, times: int) -> Count:
 
     gc.collect()
     gc.disable()
+    sys._getframe().f_trace_opcodes = True  # Python 3.12 looks only now if any is set
     sys.settrace(see)
     try:
         await work()
