@@ -15,6 +15,7 @@ import pytest
 
 import esair
 from esair.loop import TurnLoop
+from esair.testing import VirtualLoop
 
 ROOT = str(Path(esair.__file__).parent)
 
@@ -141,3 +142,73 @@ def test_add_and_stop_take_few_calls() -> None:
     print(f"add: {added.total()} calls", f"stop: {stopped.total()} calls", sep="\n")  # noqa: T201
     assert added.total() <= ADD, added.most_common(60)
     assert stopped.total() <= STOP, stopped.most_common(60)
+
+
+async def costs_of_a_life(reactions: int, sensors: int, arms: int) -> dict[str, int]:
+    """Count what it takes to start a robot, to ask why of all, and to stop it."""
+    robot = esair.Robot(
+        resources=[
+            *(Beam(name=f"beam{n}") for n in range(sensors)),
+            *(Arm(name=f"arm{n}") for n in range(arms)),
+        ],
+        behaviors=[
+            hold(f"hold{n}", f"beam{n % sensors}", f"arm{n % arms}")
+            for n in range(reactions)
+        ],
+    )
+
+    async def why() -> None:
+        for number in range(arms):
+            robot.resources.why(f"arm{number}")
+
+    return {
+        "start": (await calls(robot.__aenter__)).total(),
+        "why of all": (await calls(why)).total(),
+        "stop": (await calls(lambda: robot.stop("it is counted"))).total(),
+    }
+
+
+@pytest.mark.promise("ROB-2")
+@pytest.mark.long
+@pytest.mark.parametrize("shared", [1, 20])
+@pytest.mark.parametrize("few", [250, pytest.param(1_000, marks=pytest.mark.soak)])
+def test_a_life_takes_as_long_as_the_robot_is_large(few: int, shared: int) -> None:
+    """Four times as many take at most 4.5 times as many calls, shared actuators too."""
+
+    def counted(reactions: int) -> dict[str, int]:
+        shape = (reactions, -(-reactions // shared) * 2, -(-reactions // shared))
+        with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+            return runner.run(costs_of_a_life(*shape))
+
+    one, four = counted(few), counted(4 * few)
+    table = {what: (one[what], four[what]) for what in one}
+    print(f"calls of {few} and {4 * few} reactions:", table)  # noqa: T201 - read with -s
+    assert {what: n for what, n in table.items() if n[1] > 4.5 * n[0]} == {}
+
+
+def test_requests_that_end_together_take_as_long_as_they_are_many() -> None:
+    """Four times as many take at most 4.5 times as many calls."""
+
+    def counted(requests: int) -> int:
+        async def main() -> int:
+            askers = [Idle(name=f"asker{n}") for n in range(-(-requests // 16))]
+            givers = [Idle(name=f"giver{n}") for n in range(20)]
+            async with esair.Robot(behaviors=[*askers, *givers]):
+                asked = [
+                    asyncio.create_task(
+                        askers[n // 16].get(f"giver{n % 20}", interval=1.0)
+                    )
+                    for n in range(requests)
+                ]
+                await asyncio.sleep(0.9)
+                took = await calls(
+                    lambda: asyncio.gather(*asked, return_exceptions=True)
+                )
+                ends = [type(each.exception()) for each in asked]
+            assert ends == [esair.BehaviorUnavailableError] * requests
+            return took.total()
+
+        with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+            return runner.run(main())
+
+    assert counted(800) <= 4.5 * counted(200)
