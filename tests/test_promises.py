@@ -31,7 +31,6 @@ PROMISES = {
 
 NOT_YET: dict[str, str] = dict.fromkeys(
     [
-        "BUS-5",
         "NET-1",
         "NET-2",
         "NET-3",
