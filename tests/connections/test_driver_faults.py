@@ -237,7 +237,7 @@ async def test_a_device_that_is_always_at_fault_fails_for_good(
 
     async with esair.Robot(resources=[sonar, other], behaviors=[user]) as robot:
         sonar.fail(ValueError("checksum"), times=None)
-        for _ in range(200):
+        for _ in range(400):
             with pytest.raises((esair.DeviceFaultError, esair.DeviceLostError)):
                 await user.sonar.read(fresh=True)
             await asyncio.sleep(0.05)

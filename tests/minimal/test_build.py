@@ -169,7 +169,7 @@ def test_what_does_not_fit_is_told_at_once(tmp_path) -> None:
     assert any(each.startswith("bus.front: MIN has no buses") for each in found)
     assert any(each.startswith("behavior.explore: it is a behavior") for each in found)
     assert any(each.startswith("actuator.wheels: it is on a bus") for each in found)
-    assert len(found) == 11
+    assert len(found) == 13
 
 
 PARTS = """

@@ -259,8 +259,9 @@ def wrong_bus(cls: type, bus: object) -> str | None:
             return None
     except TypeError:  # a type that nothing can be compared with at run time
         return None
-    name = getattr(kind, "__name__", kind)
-    wanted = f"expected {'an' if str(name)[0] in 'AEIO' else 'a'} {name}"
+    kinds = typing.get_args(kind) or (kind,)
+    name = " or ".join(getattr(each, "__name__", str(each)) for each in kinds)
+    wanted = f"expected {'an' if name[0] in 'AEIO' else 'a'} {name}"
     called = getattr(bus, "name", None)
     if called is None:
         return f"{wanted}, not {bus!r:.80}"
