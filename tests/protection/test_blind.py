@@ -211,7 +211,7 @@ async def test_only_the_users_remove_ends_a_hold(caplog: Any) -> None:
     ) as robot:
         await wheels.until(SPEED)
         stop.bug = True
-        await asyncio.sleep(10.0)
+        await asyncio.sleep(20.0)
         assert robot.behaviors.query("obstacle_stop").state is BehaviorState.FAILED
         moved = [c for c in wheels.commands if c]
         await asyncio.sleep(10.0)
