@@ -113,6 +113,7 @@ def test_check_refuses_what_is_no_priority(robot, esair_command, capsys) -> None
     assert "robot.realtime error: expected true, false or a priority of 1" in said
 
 
+@pytest.mark.long
 def test_measure_shows_every_step_and_leaves_nothing_behind(robot, start) -> None:
     """A column for each way; their lines add up to the steps of the reaction and polls."""
     file = robot()

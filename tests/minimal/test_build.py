@@ -599,7 +599,14 @@ def test_a_rate_that_does_not_fit_the_loops_is_told(tmp_path, capsys) -> None:
 
 
 @pytest.mark.promise("MIN-5")
-@pytest.mark.parametrize(("rate", "told"), [(50, 2000), (1, 4000), (0.2, 8388)])
+@pytest.mark.parametrize(
+    ("rate", "told"),
+    [
+        (50, 2000),
+        pytest.param(1, 4000, marks=pytest.mark.long),
+        pytest.param(0.2, 8388, marks=pytest.mark.long),
+    ],
+)
 def test_the_watchdog_is_on_unless_it_is_turned_off(tmp_path, rate, told) -> None:
     """Two seconds, or four steps, within what the board has."""
     path = simple(tmp_path)

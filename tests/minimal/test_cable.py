@@ -61,7 +61,14 @@ def deploys(cable: Cable, folders: list[Path], count: int) -> None:
         assert done.ready.startswith("esair: ready")
 
 
-@pytest.mark.parametrize("arm", ["host", "always", "pin:14"])
+@pytest.mark.parametrize(
+    "arm",
+    [
+        "host",
+        pytest.param("always", marks=pytest.mark.long),
+        pytest.param("pin:14", marks=pytest.mark.long),
+    ],
+)
 def test_a_program_is_deployed_over_each_cable(machine, tmp_path, arm) -> None:
     """Whatever arms it, with its watchdog, and again over itself."""
     folder = built(tmp_path, arm=arm)
@@ -83,6 +90,7 @@ def test_programs_are_deployed_again_and_again(tmp_path, way, arm, link, soak) -
         deploys(cable, [folder], 50 if soak else 3)
 
 
+@pytest.mark.long
 def test_a_deploy_that_is_cut_leaves_no_mixture(tmp_path, monkeypatch, soak) -> None:
     """At any byte: the old program runs then, the new one, or the prompt is there."""
     moments = 100 if soak else 4
@@ -114,7 +122,7 @@ def test_a_deploy_that_is_cut_leaves_no_mixture(tmp_path, monkeypatch, soak) -> 
     assert len(seen) > 1
 
 
-@pytest.mark.parametrize("away", [0.0, 1.0])
+@pytest.mark.parametrize("away", [0.0, pytest.param(1.0, marks=pytest.mark.long)])
 def test_deploy_goes_over_a_program_with_a_watchdog(tmp_path, away, soak) -> None:
     """It outlives the program, and bites nobody: the board starts without it first."""
     folders = [
@@ -126,6 +134,7 @@ def test_deploy_goes_over_a_program_with_a_watchdog(tmp_path, away, soak) -> Non
         assert cable.bites == 0
 
 
+@pytest.mark.long
 def test_a_linked_program_with_a_watchdog_makes_room(tmp_path, soak) -> None:
     """By the word of the link, as it takes no Ctrl-C."""
     folder = built(tmp_path, arm="always", watchdog=1.5, link=True)
@@ -208,7 +217,7 @@ import main
 """
 
 
-@pytest.mark.parametrize("link", [False, True])
+@pytest.mark.parametrize("link", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_nobody_who_reads_holds_up_no_step(tmp_path, link) -> None:
     """Ten minutes of faults, and an unread line: no late step, and the reflex is alive."""
     folder = built(tmp_path, arm="always", link=link)

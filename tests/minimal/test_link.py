@@ -219,6 +219,7 @@ async def test_a_board_that_has_restarted_is_lost_first() -> None:
         os.close(other)
 
 
+@pytest.mark.long
 async def test_garbage_on_the_line_disturbs_neither_side(plugged) -> None:
     """What is damaged is counted, and what is whole still gets through."""
     robot, base = host(plugged)

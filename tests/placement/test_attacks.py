@@ -36,8 +36,15 @@ def children_of(pid: int) -> list[int]:
 
 
 @pytest.mark.promise("PLC-4")
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSEGV, signal.SIGTERM])
-@pytest.mark.parametrize("busy", [False, True])
+@pytest.mark.parametrize(
+    "how",
+    [
+        signal.SIGKILL,
+        pytest.param(signal.SIGSEGV, marks=pytest.mark.long),
+        pytest.param(signal.SIGTERM, marks=pytest.mark.long),
+    ],
+)
+@pytest.mark.parametrize("busy", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_nothing_outlives_the_robot(
     tmp_path: Path, how: signal.Signals, busy: bool
 ) -> None:

@@ -75,7 +75,8 @@ async def live(
                 await noted(log, "1.0")
             began = time.monotonic()
             for number in signals:
-                process.send_signal(number)
+                with contextlib.suppress(ProcessLookupError):  # it has ended already
+                    process.send_signal(number)
                 await asyncio.sleep(0.05)
                 if between:
                     await noted(log, between)

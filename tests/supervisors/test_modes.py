@@ -19,7 +19,7 @@ from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = [pytest.mark.virtual_clock]
 
-HISTORIES, LONG_HISTORIES = 60, 2_000
+HISTORIES, LONG_HISTORIES, SOAK_HISTORIES = 60, 300, 2_000
 RESTING, RUNNING = BehaviorState.RESTING, BehaviorState.RUNNING
 MAY = esair.Policy.behaviors(allow={"captain": "manage"})
 
@@ -696,9 +696,11 @@ def test_whatever_interrupts_a_switch_leaves_one_mode(
     from esair.testing import VirtualLoop
 
     logging.getLogger("esair").setLevel(logging.CRITICAL)
-    long = request.config.getoption("--esair-long")
+    option = request.config.getoption
+    soak, long = option("--esair-soak"), option("--esair-long")
+    many = SOAK_HISTORIES if soak else LONG_HISTORIES if long else HISTORIES
     try:
-        for seed in range(LONG_HISTORIES if long else HISTORIES):
+        for seed in range(many):
             with asyncio.Runner(
                 loop_factory=lambda seed=seed: VirtualLoop(seed=seed)  # type: ignore[misc]
             ) as runner:
