@@ -125,8 +125,8 @@ def test_a_dead_man_a_deadline_and_a_stuck_driver(make: Make) -> None:
         sonar, uses = FakeSensor("sonar", 1.0), Uses()
         sonar.deadline = 0.1
         async with esair.Robot(resources=[wheels, sonar], behaviors=[uses]) as robot:
-            await uses.wheels.write(0.5)
             began = time.monotonic()
+            await uses.wheels.write(0.5)
             await wheels.until(0.0, timeout=5.0)
             assert 0.09 < time.monotonic() - began < 2.0
             sonar.slow(5.0)
