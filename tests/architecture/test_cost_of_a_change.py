@@ -171,7 +171,7 @@ async def costs_of_a_life(reactions: int, sensors: int, arms: int) -> dict[str, 
 @pytest.mark.promise("ROB-2")
 @pytest.mark.long
 @pytest.mark.parametrize("shared", [1, 20])
-@pytest.mark.parametrize("few", [250, pytest.param(1_000, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("few", [100, pytest.param(1_000, marks=pytest.mark.soak)])
 def test_a_life_takes_as_long_as_the_robot_is_large(few: int, shared: int) -> None:
     """Four times as many take at most 4.5 times as many calls, shared actuators too."""
 

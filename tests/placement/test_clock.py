@@ -52,9 +52,14 @@ async def test_the_same_commands_as_a_task(seed: int) -> None:
     assert len(here) > 20
 
 
-@pytest.mark.long
 @pytest.mark.promise("PLC-7")
-@pytest.mark.parametrize("seed", range(6, 106))
+@pytest.mark.parametrize(
+    "seed",
+    [
+        *(pytest.param(seed, marks=pytest.mark.long) for seed in range(6, 26)),
+        *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(26, 106)),
+    ],
+)
 async def test_the_same_commands_in_many_worlds(seed: int) -> None:
     """The same in a hundred worlds."""
     assert await told(None, seed) == await told("process", seed)
