@@ -216,6 +216,15 @@ class Unsendable(esair.Behavior):
         self.function = function
 
 
+class Performer(esair.Behavior):
+    """Performs another one, where it cannot."""
+
+    placement = "process"
+
+    async def run(self) -> None:
+        await self.perform(esair.Behavior(name="step"))
+
+
 class Talker(esair.Behavior):
     placement = "process"
 

@@ -12,7 +12,15 @@ import time
 from pathlib import Path
 
 import pytest
-from tests.placement.parts import Avoid, Drive, Liar, Talker, Twist, Unsendable
+from tests.placement.parts import (
+    Avoid,
+    Drive,
+    Liar,
+    Performer,
+    Talker,
+    Twist,
+    Unsendable,
+)
 from tests.placement.test_life import STOP, fake_wheels, lives, place, until
 
 import esair
@@ -232,6 +240,16 @@ async def test_what_cannot_be_placed_is_a_finding() -> None:
     assert "cannot be sent to a process" in text
     assert "expected 'process', 'task'" in text
     assert len(raised.value.exceptions) == 5
+
+
+@pytest.mark.promise("PLC-1")
+async def test_a_step_of_a_placed_one_is_refused_in_words() -> None:
+    """What a child cannot perform is an error that says what to do instead."""
+    async with esair.Robot(behaviors=[Performer()]) as robot:
+        await until(lambda: robot.behaviors.query("performer").error is not None)
+        error = robot.behaviors.query("performer").error
+    assert "performer performs a step" in str(error)
+    assert "make the step a component" in str(error)
 
 
 @pytest.mark.promise("PLC-1")

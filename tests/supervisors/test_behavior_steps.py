@@ -40,6 +40,10 @@ class Go(esair.Behavior):
         self.story.append("teardown")
 
 
+class Elsewhere(esair.Behavior):
+    placement = "process"
+
+
 class Captain(esair.Behavior):
     """Performs what a test gives it."""
 
@@ -259,9 +263,9 @@ async def test_a_sensor_that_goes_and_comes_is_its_own_to_handle() -> None:
     assert captain.outcome == ["1.0", "gone", "2.0"]
 
 
-@pytest.mark.parametrize("wrong", ["in use", "takes", "until", "nothing"])
+@pytest.mark.parametrize("wrong", ["in use", "takes", "until", "placed", "nothing"])
 async def test_what_cannot_be_a_step_is_told(wrong: str) -> None:
-    """One that runs already, one that is asked, a condition, nothing of the kind."""
+    """One that runs already, is asked, is placed; a condition, nothing of the kind."""
 
     class Dock(esair.Request[int]): ...
 
@@ -271,7 +275,9 @@ async def test_what_cannot_be_a_step_is_told(wrong: str) -> None:
     other = Go(0.0, 1e6)
 
     async def act(self: Captain) -> None:
-        if wrong == "in use":
+        if wrong == "placed":
+            await self.perform(Elsewhere())
+        elif wrong == "in use":
             await self.perform(other)
         elif wrong == "takes":
             await self.perform(Taker())

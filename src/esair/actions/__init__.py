@@ -6,10 +6,11 @@ from esair.actions._blocking_ports import (
     BlockingActuatorPort,
     BlockingSensorPort,
     blocking,
+    each_of,
     in_loop,
 )
 from esair.actions._derived import Derivation, Derived
-from esair.actions._host import Host
+from esair.actions._host import Host, Terms
 from esair.actions._needs import (
     Blind,
     Guards,
@@ -62,6 +63,7 @@ __all__ = [
     "SensorPort",
     "StepClock",
     "Takes",
+    "Terms",
     "ThreadBehavior",
     "Works",
     "Writes",
@@ -70,6 +72,7 @@ __all__ = [
     "blocking",
     "declared_requests",
     "declared_works",
+    "each_of",
     "guards",
     "in_loop",
     "is_request",

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, overload
 
 from esair import minimal
-from esair.actions._host import Host, Mail
+from esair.actions._host import Host, Mail, Terms
 from esair.actions._needs import ProfiledAction, Unbound, not_bound
 from esair.actions._reaction import Reaction, adapt_action
 from esair.actions._request import Request
@@ -363,8 +363,8 @@ class Behavior(ProfiledAction):
             AccessDeniedError: A rule denies it.
             ConfigError: It gives or takes something else.
         """
-        terms = resource, access, as_type, priority, hold, max_age
-        return await self._host.register(*terms)
+        terms = Terms(resource, access, as_type, priority, hold, max_age)
+        return await self._host.register(terms)
 
     @property
     def supervisor(self) -> Behaviors:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import inspect
-from collections.abc import Awaitable, Callable, Iterator, Mapping
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator, Mapping
 from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, cast
 
 from esair.connections import ActuatorPort, Port, SensorPort
@@ -42,6 +42,17 @@ def waits(
         return self._portal.call(in_loop, method, self._base, *args, **options)
 
     return call
+
+
+def each_of(values: AsyncGenerator[T, None], portal: Portal) -> Iterator[T]:
+    """Yield in a thread what is awaited in the loop, and end it there."""
+    try:
+        while True:
+            yield portal.call(values.__anext__)
+    finally:
+        # Its tasks are gone too; or the collector ends it, who may be in the loop.
+        with contextlib.suppress(BehaviorRemovedError, RuntimeError):
+            portal.call(values.aclose)
 
 
 def calls(method: Callable[Concatenate[S, P], R]) -> Callable[Concatenate[Any, P], R]:
@@ -111,14 +122,7 @@ class BlockingSensorPort(BlockingPort[T]):
 
     def __iter__(self) -> Iterator[T]:
         """Yield each new value; a slow reader misses some and gets the newest."""
-        values = self._base._values()  # noqa: SLF001 - the same port, for a thread
-        try:
-            while True:
-                yield self._portal.call(values.__anext__)
-        finally:
-            # Its tasks are gone too; or the collector ends it, who may be in the loop.
-            with contextlib.suppress(BehaviorRemovedError, RuntimeError):
-                self._portal.call(values.aclose)
+        return each_of(self._base._values(), self._portal)  # noqa: SLF001 - as the port
 
 
 class BlockingActuatorPort(BlockingPort[T]):

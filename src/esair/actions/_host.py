@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from esair.actions._reaction import Reaction
 from esair.connections import ActuatorPort, Halting, SensorPort, Stopped
 from esair.loop import Budget, Portal
 from esair.messages import Access, BehaviorStatus
+
+
+class Terms(NamedTuple):
+    """For what a behavior registers at run time; see `Behavior.register`."""
+
+    resource: str
+    access: Access
+    as_type: type[Any] | None
+    priority: int
+    hold: float | None
+    max_age: float | None
 
 
 class Mail(Protocol):
@@ -46,15 +57,7 @@ class Host(Protocol):
         blind_timeout: float | None,
     ) -> bool: ...
     async def perform_behavior(self, behavior: Any, timeout: float | None) -> Any: ...
-    async def register(
-        self,
-        resource: str,
-        access: Access,
-        wanted: type | None,
-        priority: int,
-        hold: float | None,
-        max_age: float | None,
-    ) -> SensorPort[Any] | ActuatorPort[Any]: ...
+    async def register(self, terms: Terms) -> SensorPort[Any] | ActuatorPort[Any]: ...
     def halt_robot(self, reason: str) -> Halting: ...
     def query(self, name: str) -> BehaviorStatus: ...
     async def manage(self, verb: str, *args: Any) -> Any: ...

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import contextvars
 import inspect
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator, Iterator
 from typing import Any, Protocol
 
-from esair.actions import NOTHING, in_loop, taken
+from esair.actions import NOTHING, Terms, each_of, in_loop, taken
 from esair.connections import Halting, Stopped
-from esair.exceptions import BehaviorRemovedError
 from esair.loop import Budget, Owner, Portal, spawn
-from esair.messages import Access, BehaviorStatus
+from esair.messages import BehaviorStatus
 from esair.placement._loop import ChildLoop
 from esair.placement._wire import Values
 
@@ -93,21 +91,16 @@ class Host:
 
     async def perform(self, *_: object) -> bool:
         raise NotImplementedError(
-            f"{self._child.name} performs a reaction, but lives in a process of its own: "
-            "make the reaction a component, or leave the behavior in the robot's process"
+            f"{self._child.name} performs a step, but lives in a process of its own: "
+            "make the step a component, or leave the behavior in the robot's process"
         )
 
-    async def register(
-        self,
-        resource: str,
-        access: Access,
-        wanted: type | None,
-        priority: int,
-        hold: float | None,
-        max_age: float | None,
-    ) -> Any:
-        terms = resource, access, priority, hold, max_age
-        key = await self._child.call("register", *terms)
+    perform_behavior = perform
+
+    async def register(self, terms: Terms) -> Any:
+        resource, access, _, priority, hold, max_age = terms
+        asked = resource, access, priority, hold, max_age
+        key = await self._child.call("register", *asked)
         return port_for(self._child, key, resource, self.portal)
 
     def halt_robot(self, reason: str) -> Halting:
@@ -203,13 +196,7 @@ class BlockingPort:
         return self._portal.call(in_loop, getattr, self._port, name)
 
     def __iter__(self) -> Iterator[Any]:
-        values = self._port._values()  # noqa: SLF001 - the same port, for a thread
-        try:
-            while True:
-                yield self._portal.call(values.__anext__)
-        finally:
-            with contextlib.suppress(BehaviorRemovedError, RuntimeError):
-                self._portal.call(values.aclose)
+        return each_of(self._port._values(), self._portal)  # noqa: SLF001 - as the port
 
 
 def _named(port: RemotePort, name: str, *args: Any, **options: Any) -> Any:

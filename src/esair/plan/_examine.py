@@ -7,6 +7,7 @@ from typing import Any
 
 from esair.actions import Behavior, Derived, Reaction
 from esair.exceptions import ConfigError
+from esair.messages import is_placed
 from esair.plan._actions import mistakes_in_action, mistyped
 from esair.plan._buses import claimed_twice, odd_buses, overloaded
 from esair.plan._derived import underivable
@@ -102,6 +103,10 @@ def examine_step(plan: Plan, action: Any, *, performer: str) -> list[Finding]:
     if isinstance(action, Behavior) and action.takes:
         told = "it takes requests: a step has no name of its own to be asked by"
         found.append(mistake("declaration", action, "", told))
+    if is_placed(action):
+        told = "a step runs where its performer runs, in no process of its own"
+        advice = "give it placement 'task', or add it to the robot and ask it"
+        found.append(mistake("placement", action, "placement", told, advice))
     return found
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import inspect
 import logging
-from collections.abc import Awaitable, Callable, Collection
+from collections.abc import Awaitable, Callable, Collection, Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from esair.actions import (
     Reaction,
     ReactionRunner,
     SensorPort,
+    Terms,
     blocking,
 )
 from esair.connections import UNDECIDED, Halting, Registration, Stopped, run_ended
@@ -36,7 +38,7 @@ from esair.loop import (
     speaks_for_nobody,
     wake,
 )
-from esair.messages import Access, BehaviorState, BehaviorStatus
+from esair.messages import BehaviorState, BehaviorStatus
 from esair.supervisors._ending import UserRemovedError, cancel, end, living, until_ended
 from esair.supervisors._grants import Grants, bind, empty, fill
 from esair.supervisors._life import Life, absent, absent_for, where
@@ -128,32 +130,16 @@ class Member:
             raise BehaviorRemovedError(self.name)
         return await self.crew.managed_by(self.name, verb, *args)
 
-    async def register(
-        self,
-        resource: str,
-        access: Access,
-        wanted: type | None,
-        priority: int,
-        hold: float | None,
-        max_age: float | None,
-    ) -> SensorPort[Any] | ActuatorPort[Any]:
-        terms = resource, access, wanted, priority, hold, max_age
-        return await self.register_for(self.grants, self._portal, *terms)
+    async def register(self, terms: Terms) -> SensorPort[Any] | ActuatorPort[Any]:
+        return await self.register_for(self.grants, self._portal, terms)
 
     async def register_for(
-        self,
-        grants: Grants,
-        portal: Portal | None,
-        resource: str,
-        access: Access,
-        wanted: type | None,
-        priority: int,
-        hold: float | None,
-        max_age: float | None,
+        self, grants: Grants, portal: Portal | None, terms: Terms
     ) -> SensorPort[Any] | ActuatorPort[Any]:
         """Register it, or a step of it, for a resource."""
         await Budget.spend()
         self.mail.check_speaker()
+        resource, access, wanted, priority, hold, max_age = terms
         if max_age is not None:
             check_duration(self.name, f"{resource}.max_age", max_age)
         grants.check_type(self.action, resource, access, wanted)
@@ -169,22 +155,22 @@ class Member:
         blind_timeout: float | None,
     ) -> bool:
         """Run a reaction until its condition comes true or its time is over."""
-        self.mail.check_speaker()
-        self.crew.performing[self] = None
-        try:
+        with self._performing():
             return await self.steps.perform(
                 reaction, self.mail.owner, until, timeout, blind_timeout
             )
-        finally:
-            if not self.steps.now:
-                self.crew.performing.pop(self, None)
 
     async def perform_behavior(self, behavior: Behavior, timeout: float | None) -> Any:
         """Run a behavior as a step; returns what its run returns."""
+        with self._performing():
+            return await self.steps.perform_behavior(behavior, self, timeout)
+
+    @contextlib.contextmanager
+    def _performing(self) -> Iterator[None]:
         self.mail.check_speaker()
         self.crew.performing[self] = None
         try:
-            return await self.steps.perform_behavior(behavior, self, timeout)
+            yield
         finally:
             if not self.steps.now:
                 self.crew.performing.pop(self, None)

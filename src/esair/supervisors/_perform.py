@@ -15,11 +15,11 @@ from esair.actions import (
     Reaction,
     ReactionRunner,
     SensorPort,
+    Terms,
 )
 from esair.connections import Registration
 from esair.exceptions import BehaviorUnavailableError, ConfigError
 from esair.loop import Owner, Portal, fail, raisable
-from esair.messages import Access
 from esair.plan import examine_step, refuse
 from esair.supervisors._grants import Grants, bind, empty, fill
 from esair.supervisors._sight import Sight
@@ -124,17 +124,8 @@ class BehaviorStep:
         self.perform, self.perform_behavior = member.perform, member.perform_behavior
         self.halt_robot, self.stop_robot = member.halt_robot, member.stop_robot
 
-    async def register(
-        self,
-        resource: str,
-        access: Access,
-        wanted: type | None,
-        priority: int,
-        hold: float | None,
-        max_age: float | None,
-    ) -> SensorPort[Any] | ActuatorPort[Any]:
-        terms = resource, access, wanted, priority, hold, max_age
-        return await self._member.register_for(self.grants, self.portal, *terms)
+    async def register(self, terms: Terms) -> SensorPort[Any] | ActuatorPort[Any]:
+        return await self._member.register_for(self.grants, self.portal, terms)
 
     async def run(self, timeout: float | None) -> Any:
         """Set it up, run it, and clean up; returns what its run returns."""
