@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import collections
+import sys
 from collections.abc import Iterable
+from types import FrameType
 
 import pytest
 from benchmarks.cases.components import reacting_robot
@@ -44,3 +46,24 @@ def test_events_cost_those_who_listen(*, plain: bool) -> None:
     assert none == 0
     assert everything.codes <= 1.5 * nobody.codes
     assert another.codes <= 1.05 * nobody.codes
+
+
+def test_who_has_traced_before_traces_on() -> None:
+    """Counting is no end of what measures which lines are tested."""
+    seen: list[str] = []
+
+    def look(frame: FrameType, _event: str, _argument: object) -> None:
+        seen.append(frame.f_code.co_name)
+
+    def another() -> None:
+        """It is called when all is counted."""
+
+    before = sys.gettrace()
+    sys.settrace(look)
+    try:
+        count = asyncio.run(counted(lambda: asyncio.sleep(0), 1))
+        another()
+    finally:
+        sys.settrace(before)
+    assert count.calls > 0
+    assert seen[-1] == "another"
