@@ -167,7 +167,8 @@ async def heard() -> dict[str, Count]:
         ("P18 a writing step, another kind heard", False, [Kind.LOG]),
     ):
         robot = reacting_robot(REACTIONS, acting=1, plain=plain)
-        robot.journal.listen(kept.append, kinds=kinds)
+        listener = robot.journal.listen(kept.append, kinds=kinds)
+        listener.is_waited_for = True  # else it hears less in a turn that takes long
         async with robot:
             await asyncio.sleep(1.0005)
             found[case] = await counted(lambda: asyncio.sleep(0.2), 20 * REACTIONS)
