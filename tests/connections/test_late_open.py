@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import esair
-from esair.loop import TurnLoop
+from esair.loop import TurnLoop, turn_of
 from esair.testing import VirtualLoop
 
 pytestmark = pytest.mark.promise("CALL-4", "CALL-1")
@@ -27,6 +27,7 @@ class Motor(esair.Actuator[float]):
         super().__init__(name=name)
         self.ends = ends
         self.late: asyncio.Event | None = None
+        self.late_in = -1  # the turn of that end
         self.told: list[object] = []
         self.moved, self.gone = asyncio.Event(), asyncio.Event()
 
@@ -39,6 +40,7 @@ class Motor(esair.Actuator[float]):
                 except asyncio.CancelledError:
                     continue
             self.told.append("set up late")
+            self.late_in = turn_of(asyncio.get_running_loop()).number
             if self.ends is not None:
                 raise self.ends
             return
@@ -49,6 +51,8 @@ class Motor(esair.Actuator[float]):
         self.gone.set()
 
     async def write(self, command: float) -> None:
+        if turn_of(asyncio.get_running_loop()).number == self.late_in:
+            return  # what has come takes effect at the border
         self.told.append(command)
         if command:
             self.moved.set()
