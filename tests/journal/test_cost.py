@@ -26,7 +26,9 @@ def writing_step(kinds: Iterable[Kind] | None, *, plain: bool) -> tuple[Count, i
         robot = reacting_robot(REACTIONS, acting=1, plain=plain)
         if kinds is not None:
             listener = robot.journal.listen(kept.append, kinds=kinds)
-            listener.is_waited_for = True  # else it hears less in a turn that takes long
+            listener.is_waited_for = (
+                True  # else it hears less in a turn that takes long
+            )
         async with robot:
             await asyncio.sleep(1.0005)
             kept.clear()

@@ -26,7 +26,9 @@ def collector(monkeypatch: pytest.MonkeyPatch) -> Iterator[Collector]:
     monkeypatch.setattr(_garbage, "_USUAL", 1e-12)
     collector = Collector()
     collector.start()
+    collector.is_up()
     yield collector
+    collector.is_down()
     collector.stop()
 
 
@@ -39,6 +41,25 @@ def test_what_is_set_aside_is_not_even_counted(collector: Collector) -> None:
     counted = min(cost(gc.get_freeze_count) for _ in range(5))
     assert collected < counted
     assert len(held) == 300_000
+
+
+@pytest.mark.promise("ROB-7", "ROB-2")
+@pytest.mark.parametrize(("stops", "looks"), [(False, True), (True, False)])
+def test_nothing_is_looked_at_while_a_robot_stops(*, stops: bool, looks: bool) -> None:
+    """What it takes to stop is kept: a look at it would only come before safe."""
+    held = [[number] for number in range(500_000)]
+    collector = Collector()
+    collector.start()
+    collector.is_up()
+    if stops:
+        collector.is_down()
+    collections = gc.get_stats()[2]["collections"]
+    held += [[number] for number in range(150_000)]
+    assert (gc.get_stats()[2]["collections"] > collections) is looks
+    if not stops:
+        collector.is_down()
+    collector.stop()
+    assert len(held) == 650_000
 
 
 @pytest.mark.promise("ROB-7")

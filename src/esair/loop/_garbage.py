@@ -48,13 +48,16 @@ class Collector:
     what comes, and is told from how much on. That bounds the pile, and by it the pause,
     whatever makes garbage, how fast, and whether there are gaps at all.
 
-    What exists at the start, and what was kept and takes long to look at, is set aside
-    and not looked at again until the program has grown to twice as much memory. That
-    look at everything is the only pause that is as long as the program is large.
+    What exists when a robot is up, and what was kept and takes long to look at, is set
+    aside and not looked at again until the program has grown to twice as much memory.
+    That look at everything is the only pause that is as long as the program is large.
+    While robots only start or stop, the interpreter waits until the program has doubled:
+    what they are made of is kept, and no look at it comes before actuators are safe.
     """
 
     def __init__(self) -> None:
         self._robots = 0
+        self._up = 0  # how many of them neither start nor stop
         self._before = (0, 0, 0)
         self._before_all = 0  # how many blocks of memory there were before the robot,
         self._known = 0  # and how many more when all was looked at
@@ -76,18 +79,29 @@ class Collector:
         """The longest of the others, in seconds of CPU time."""
 
     def start(self) -> None:
-        """A robot runs: from now on full collections are made in gaps."""
+        """A robot starts: from now on the pile is bounded here."""
         self._robots += 1
         if self._robots > 1:
             return
         self._before = gc.get_threshold()
-        self._before_all, self._known = sys.getallocatedblocks(), 0
         self.reset()
-        self._each, self._looks_at_all = _USUAL, False
-        self._is_ours = True
-        self._set_aside()
-        self._is_ours = False
+        self._know_nothing()
+        self._begin_anew()
         gc.callbacks.append(self._hear)
+
+    def is_up(self) -> None:
+        """It runs: what there is now is kept, and full collections are made in gaps."""
+        self._up += 1
+        if self._up == 1:
+            self._know_nothing()
+            self._is_ours = True
+            self._set_aside()
+            self._is_ours = False
+
+    def is_down(self) -> None:
+        """It stops."""
+        self._up -= 1
+        self._say_when()
 
     def stop(self) -> None:
         """It has stopped; the last one gives the interpreter its settings back."""
@@ -96,6 +110,10 @@ class Collector:
             gc.callbacks.remove(self._hear)
             gc.set_threshold(*self._before)
             gc.unfreeze()
+
+    def _know_nothing(self) -> None:
+        self._before_all, self._known = sys.getallocatedblocks(), 0
+        self._each, self._kept, self._looks_at_all = _USUAL, 0.0, False
 
     def reset(self) -> None:
         """Count from nothing."""
@@ -222,7 +240,9 @@ class Collector:
         """
         each, many, _ = self._before
         there = (self._before_all + self._known) // _BLOCKS
-        most = min(PAUSE / self._each, max(there, _FEW_OBJECTS))
+        most: float = max(there, _FEW_OBJECTS)
+        if self._up:
+            most = min(most, PAUSE / self._each)
         rounds = round((most - self.came()) / max(each * (many + 1), 1))
         gc.set_threshold(each, many, max(gc.get_count()[2] + rounds - 1, 0))
 
@@ -247,7 +267,8 @@ class Gaps(OfLoop):
         self._tries = 0
 
     def start(self) -> None:
-        collector.start()
+        """A robot is up: look for gaps from now on."""
+        collector.is_up()
         self._users += 1
         # On a virtual clock looks that never end would hide a deadlock.
         if self._users == 1 and not turn_of(self._loop).virtual:
@@ -256,7 +277,7 @@ class Gaps(OfLoop):
 
     def stop(self) -> None:
         """Look for them no more, if no other robot is on the loop."""
-        collector.stop()
+        collector.is_down()
         self._users -= 1
         if self._users == 0 and self._next is not None:
             self._scheduler.cancel(self._next)

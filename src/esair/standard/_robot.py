@@ -115,6 +115,8 @@ class LoopCare:
         owned = OwnedTasks.of(loop)
         owned.install()
         self._undo.append(owned.uninstall)
+        collector.start()
+        self._undo.append(collector.stop)
         scheduler = Scheduler.of(loop)
         suspends = turn_of(loop).suspends
         suspends.listen(self._resumed)
