@@ -543,6 +543,9 @@ NO_MODES = Modes()
 OPERATOR = "operator"
 """In whose name an operator acts; no component has this name."""
 
+PEOPLE = ("user", OPERATOR)
+"""In whose names people ask behaviors."""
+
 
 @attrs.frozen(kw_only=True)
 class Operator:

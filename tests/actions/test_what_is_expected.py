@@ -92,8 +92,8 @@ async def test_a_thread_may_say_so_too() -> None:
                 seen.append(str(error))
 
     async with esair.Robot(resources=[Sonar()], behaviors=[Counts()]) as robot:
-        await robot.behaviors.put(1, sender="idle", receiver="counts")
-        await robot.behaviors.put("x", sender="idle", receiver="counts")
+        await robot.behaviors.put(1, sender="user", receiver="counts")
+        await robot.behaviors.put("x", sender="user", receiver="counts")
         await robot.ended()
 
-    assert seen == [1, 2.5, "counts: receive: expected int from idle, not 'x'"]
+    assert seen == [1, 2.5, "counts: receive: expected int from user, not 'x'"]

@@ -17,7 +17,7 @@ async def test_ros_2_the_node_stops_when_its_topic_is_silent(
     async with esair.Robot(resources=[scan, wheels], behaviors=[Cruise()]) as robot:
         await wheels.until(Twist(0.2, 0.0), timeout=1.0)
         speed = await robot.behaviors.ask(
-            SetSpeed(3.0), sender="test", receiver="cruise"
+            SetSpeed(3.0), sender="user", receiver="cruise"
         )
         assert speed == 0.5
         await wheels.until(Twist(0.5, 0.0), timeout=1.0)

@@ -125,7 +125,7 @@ async def test_the_scale_is_tared_by_its_operation() -> None:
         assert part.zero == 1.5
         chip.count = 50_000
         await asyncio.sleep(1.0)
-        assert await robot.behaviors.get(sender="weigh", receiver="me") == 1.0
+        assert await robot.behaviors.get(sender="weigh", receiver="user") == 1.0
 
 
 class Load:

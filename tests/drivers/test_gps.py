@@ -255,7 +255,7 @@ async def test_indoors_there_is_no_fresh_reading(fake_serial: Any) -> None:
             await asyncio.Event().wait()
 
     async with esair.Robot(resources=[gps], behaviors=[Look()]) as robot:
-        fix = await robot.behaviors.get(sender="look", receiver="", interval=9.0)
+        fix = await robot.behaviors.get(sender="look", receiver="user", interval=9.0)
 
     assert isinstance(fix, Fix)
     assert gps.builder.without_fix > 10

@@ -448,7 +448,7 @@ async def test_a_robot_leaves_it_safe(
             await asyncio.Event().wait()
 
     async with esair.Robot(resources=[servo, position], behaviors=[Wave()]) as robot:
-        await robot.behaviors.get(sender="wave", receiver="", interval=9.0)
+        await robot.behaviors.get(sender="wave", receiver="user", interval=9.0)
 
     assert fakes.servos[1].torque is (safe is HOLD)
     assert to_angle(fakes.servos[1].get(132)) == pytest.approx(0.8, abs=0.001)

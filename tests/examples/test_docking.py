@@ -19,7 +19,7 @@ async def test_docks_at_the_second_attempt(capsys) -> None:
 
         assert robot.behaviors.query("captain").state is esair.BehaviorState.FINISHED
         assert await robot.behaviors.get(
-            sender="memory", receiver="test"
+            sender="memory", receiver="user"
         ) == pytest.approx(0.5)
 
     assert capsys.readouterr().out == "battery low: dock\ndocked, attempt 2\n"
@@ -56,9 +56,9 @@ async def test_approach_is_slow_where_it_got_stuck(fake_sensor, fake_actuator) -
     )
 
     async with robot:
-        await robot.behaviors.put(0.4, sender="test", receiver="memory")
+        await robot.behaviors.put(0.4, sender="user", receiver="memory")
         asking = asyncio.ensure_future(
-            robot.behaviors.ask(docking.Dock(), sender="test", receiver="docking")
+            robot.behaviors.ask(docking.Dock(), sender="user", receiver="docking")
         )
         await wheels.until(lambda twist: twist.linear > 0.0, timeout=6.0)
 

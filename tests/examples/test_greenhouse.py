@@ -29,7 +29,7 @@ async def test_a_day_goes_by_the_plan_and_within_the_limits() -> None:
 
 async def switch(robot: esair.Robot, relay: str, on: bool, seconds: float) -> float:
     return await robot.behaviors.ask(
-        greenhouse.Switch(relay, on, seconds), sender="test", receiver="hand"
+        greenhouse.Switch(relay, on, seconds), sender="user", receiver="hand"
     )
 
 

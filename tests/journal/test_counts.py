@@ -88,7 +88,7 @@ async def test_what_a_full_box_gave_up_is_counted() -> None:
     idle = Idle()
     async with esair.Robot(behaviors=[idle]) as robot:
         for data in range(3):
-            await robot.behaviors.put(data, sender="me", receiver="idle")
+            await robot.behaviors.put(data, sender="user", receiver="idle")
         idle.offer(1)
         with pytest.raises(esair.BusyError):
             idle.offer(2)

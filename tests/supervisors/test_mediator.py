@@ -423,15 +423,16 @@ async def test_requests_of_one_sender_are_bounded() -> None:
 async def test_requests_to_one_target_are_bounded() -> None:
     """However many senders there are, only so many wait for one behavior."""
     b = Small(name="b")
-    async with esair.Robot(behaviors=[b]) as robot:
+    senders = [Small(name=f"s{number}") for number in range(7)]
+    async with esair.Robot(behaviors=[b, *senders]) as robot:
         put = robot.behaviors.put
-        await put(-1, sender="x", receiver="b")
+        await put(-1, sender="user", receiver="b")
         puts = [
             await soon(put(n, sender=f"s{n // 10}", receiver="b"))
             for n in range(REQUESTS_PER_TARGET)
         ]
         with pytest.raises(esair.BusyError, match=r"b.*64"):
-            await put(99, sender="y", receiver="b")
+            await put(99, sender="user", receiver="b")
         got = [await b.receive() for _ in range(REQUESTS_PER_TARGET + 1)]
         assert sorted(got) == list(range(-1, REQUESTS_PER_TARGET))
         await asyncio.gather(*puts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from typing import Any
 
 import pytest
 from tests.supervisors.actors import Driver, Idle, wheels
@@ -76,3 +77,82 @@ async def test_what_is_typed_while_it_starts_is_done() -> None:
     assert told == ["early: running"]
     with pytest.raises(esair.StoppingError, match="it is stopped"):
         await robot.behaviors.command("list")
+
+
+class Pace(esair.Behavior):
+    """A behavior that a line can bring."""
+
+    speed = 0.1
+
+    async def run(self) -> None:
+        await asyncio.sleep(3600.0)
+
+
+class Level(esair.Sensor[float]):
+    """A sensor that a line can bring."""
+
+    offset = 0.0
+
+    async def read(self) -> float:
+        return 1.0 + self.offset
+
+
+@pytest.mark.promise("SUP-1")
+async def test_a_typed_line_brings_a_class_with_its_keys() -> None:
+    """What a robot.toml could say of a component can be typed, for both supervisors."""
+    here = __name__
+    async with esair.Robot() as robot:
+        behaviors, resources = robot.behaviors, robot.resources
+        told = await behaviors.command(f"add {here}:Pace name=left speed=0.3")
+        assert told == "left was added"
+        assert behaviors.action("left").speed == 0.3
+        await behaviors.command(f"replace left {here}:Pace speed=0.5")
+        assert behaviors.action("left").speed == 0.5
+        await resources.command(f"add {here}:Level offset=2")
+        assert robot.resources.get("level").offset == 2
+        for line, expected in (
+            (f"add {here}:Pace spede=1", "did you mean 'speed'"),
+            (f"add {here}:Pac", "did you mean 'Pace'"),
+            (f"add {here}:asyncio", "no class"),
+            (f"add {here}:pytest.Item", "expected a Sensor, an Actuator"),
+            ("add no_module:Pace", "there is no module"),
+            (f"add x {here}:Pace", "expected: add module:Class"),
+            (f"add {here}:Pace name=left", "left"),
+            (f"replace nobody {here}:Pace", "nobody"),
+        ):
+            with pytest.raises(esair.EsairError, match=expected):
+                await behaviors.command(line)
+        assert behaviors.names() == ["left"]
+
+
+@pytest.mark.promise("SUP-1")
+async def test_a_sender_must_exist() -> None:
+    """Nothing is asked in the name of a component that is not there."""
+
+    class Count(esair.Request[int]):
+        pass
+
+    async with esair.Robot(behaviors=[Idle(), Pace()]) as robot:
+        there = robot.behaviors
+        for request in (
+            there.put(1, sender="pase", receiver="idle"),
+            there.get(sender="idle", receiver="pase"),
+            there.ask(Count(), sender="pase", receiver="idle"),
+        ):
+            with pytest.raises(esair.UnknownNameError, match="did you mean 'pace'"):
+                await request
+        for sender in ("pace", "user", "operator"):
+            await there.put(1, sender=sender, receiver="idle")
+
+
+@pytest.mark.parametrize("what", ["behaviors", "resources"])
+async def test_a_class_in_place_of_a_component_is_told_what_to_write(what) -> None:
+    """The commonest slip has its own words."""
+    given: dict[str, Any] = {what: [Pace if what == "behaviors" else Level]}
+    with pytest.raises(ExceptionGroup) as raised:
+        async with esair.Robot(**given):
+            pass
+    assert raised.group_contains(esair.ConfigError, match=r"you gave the class: write ")
+    given = {what: given[what][0]()}
+    with pytest.raises(esair.ConfigError, match=r"expected a list of components"):
+        esair.Robot(**given)

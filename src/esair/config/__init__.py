@@ -10,6 +10,7 @@ from esair.config._construct import keywords_of
 from esair.config._load import Description, build, load, load_robot
 from esair.config._mistakes import ConfigFileError, Lines
 from esair.config._module import find_robot, is_of_module, robot_of
+from esair.config._one import find_module, is_imported, make_component
 from esair.config._records import fields_of
 from esair.config._source import digest_of, tables_of
 from esair.config._values import INVALID, convert
@@ -26,11 +27,14 @@ __all__ = [
     "convert",
     "digest_of",
     "fields_of",
+    "find_module",
     "find_robot",
+    "is_imported",
     "is_of_module",
     "keywords_of",
     "load",
     "load_robot",
+    "make_component",
     "robot_of",
     "searched_first",
     "tables_of",

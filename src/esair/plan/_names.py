@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+from esair import minimal
 from esair.abc import Component
 from esair.actions import Behavior, Reaction
 from esair.exceptions import ConfigError, EsairError, NameTakenError
@@ -16,11 +17,14 @@ from esair.resources import Actuator, Resource, Sensor
 def wrong_kind(component: object, *, resource: bool) -> Finding | None:
     """Find what is no resource, or no action, or has no good name."""
     wanted: tuple[type, ...] = (Sensor, Actuator) if resource else (Behavior, Reaction)
+    of_min = (minimal.Sensor, minimal.Actuator) if resource else (minimal.Reaction,)
     if not isinstance(component, wanted):
         names = " or ".join(f"esair.{each.__name__}" for each in wanted)
-        return mistake(
-            "declaration", component, "", f"expected an {names}", of=repr(component)
-        )
+        told, of = f"expected an {names}", repr(component)
+        if isinstance(component, type) and issubclass(component, (*wanted, *of_min)):
+            of = component.__name__
+            told = f"you gave the class: write {of}()"
+        return mistake("declaration", component, "", told, of=of)
     assert isinstance(component, Component)
     try:
         if component.name == OPERATOR:

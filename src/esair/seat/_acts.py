@@ -459,18 +459,49 @@ def check_rights(operator: Operator) -> None:
             raise ConfigError(OPERATOR, "allow", told)
 
 
+def words_of(text: object) -> list[str]:
+    """Return the words of a typed line.
+
+    Raises:
+        ConfigError: It is none, or a quote is left open.
+    """
+    if not isinstance(text, str):
+        raise ConfigError("command", "", f"expected a line of text, not {text!r:.80}")
+    try:
+        return shlex.split(text)
+    except ValueError as error:
+        raise ConfigError("command", "", f"{error}: {text!r:.80}") from None
+
+
+class Coming(NamedTuple):
+    """What a typed line brings that names a class: only who types in the program may."""
+
+    act: Act
+    instead_of: str | None
+    driver: str  # module:Class
+    values: dict[str, Any]
+
+
+def coming_of(text: str) -> Coming | None:
+    """Return what ``add module:Class key=value`` or ``replace NAME module:Class`` bring."""
+    verb, *rest = words_of(text) or [""]
+    words = [word for word in rest if "=" not in word]
+    if verb not in {"add", "replace"} or not words or ":" not in words[-1]:
+        return None
+    if len(words) != (1 if verb == "add" else 2):
+        told = "expected: add module:Class [KEY=VALUE], replace NAME module:Class [...]"
+        raise ConfigError("command", verb, told)
+    old = words[0] if verb == "replace" else None
+    return Coming(ACTS[verb], old, words[-1], table_of(w for w in rest if "=" in w))
+
+
 def act_of(text: str) -> tuple[Act, dict[str, Any]]:
     """Return the act that a line means, and what it is about.
 
     Raises:
         ConfigError: The line is not understood.
     """
-    if not isinstance(text, str):
-        raise ConfigError("command", "", f"expected a line of text, not {text!r:.80}")
-    try:
-        words = shlex.split(text)
-    except ValueError as error:
-        raise ConfigError("command", "", f"{error}: {text!r:.80}") from None
+    words = words_of(text)
     if not words or words[0] not in ACTS:
         verb = words[0] if words else ""
         told = f"it is not known{hint_for(verb, ACTS)}"

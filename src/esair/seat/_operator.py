@@ -11,6 +11,7 @@ import itertools
 import logging
 import tomllib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import attrs
@@ -30,7 +31,7 @@ from esair.journal import Kind
 from esair.loop import Door, News, TapeWriter, clock_of, current_owner, outside, spawn
 from esair.messages import OPERATOR, Access
 from esair.resources import HIDDEN, Resource, settings_of
-from esair.seat._acts import ACTS, Act
+from esair.seat._acts import ACTS, Act, Coming
 from esair.seat._leases import Driver, Lease, Leases
 from esair.seat._status import Status
 from esair.seat._wire import Message
@@ -204,6 +205,36 @@ class Console:
             raise AccessDeniedError("a behavior", self.robot.name, act, told)
         message = Message(f"typed {next(self._typed)}", act, fields)
         return await asyncio.shield(self.take(message, session))
+
+    async def bring(self, coming: Coming, session: Session) -> str:
+        """Add an instance of a class that somebody has typed in the robot's program.
+
+        It is no act: what comes in from outside never names a class.
+
+        Raises:
+            ConfigError: There is no such class, or a key is wrong.
+            EsairError: As `add` and `replace` of the supervisors.
+        """
+        act, old, driver, values = coming
+        self._check_right(act)
+        owner = None if old is None else self.supervisor_of(old)
+        source = self.robot.source
+        folder = Path.cwd() if source is None else source[0].resolve().parent
+
+        if not config.is_imported(driver):  # what a module does may take long
+            load = asyncio.to_thread(config.find_module, driver, folder)
+            await outside(("operator", "module"), lambda: load)
+        buses = self.robot.resources.buses
+        values = {**values} if old is None else {**values, "name": old}
+        part: Any = config.make_component(driver, values, buses, folder)
+        told = {"act": act.name, "by": session.who, "class": driver}
+        self.robot.journal.publish(Kind.OPERATOR, part.name, self.name, told)
+        _log.info("%s: %s %s as %s", session.who, act.name, driver, part.name)
+        if owner is None or old is None:
+            await self.owner_of(part).add(part)
+            return f"{part.name} was added"
+        await owner.replace(old, part)
+        return f"{old} was replaced"
 
     def leave(self, session: Session) -> None:
         """A session ends: what it drives is released."""

@@ -6,7 +6,7 @@ import logging
 from typing import TYPE_CHECKING
 
 from esair.exceptions import ConfigError, StoppingError, describe
-from esair.seat._acts import act_of
+from esair.seat._acts import act_of, coming_of
 from esair.seat._operator import Console, Session
 from esair.seat._place import Place
 from esair.seat._socket import Socket
@@ -93,9 +93,12 @@ class Seat:
             ConfigError: The line is not understood.
             EsairError: As the act.
         """
-        act, fields = act_of(text)
+        coming = coming_of(text)
+        act, fields = act_of(text) if coming is None else (coming.act, {})
         if self._console is None:
             raise StoppingError("operator", "stopped")
+        if coming is not None:
+            return await self._console.bring(coming, self._typing)
         return act.tells(await self._console.do(act.name, fields, self._typing))
 
 

@@ -448,8 +448,12 @@ class Robot:
         self._keeping = Keeping(record)
         self._grace = check_seconds(self._title, "grace", grace)
         # What was written for a microcontroller runs here as well, in an adapter.
-        self._list_of_resources: list[Any] = [adapt_resource(r) for r in resources]
-        self._list_of_behaviors: list[Any] = [adapt_action(b) for b in behaviors]
+        self._list_of_resources: list[Any] = self._given(
+            "resources", resources, adapt_resource
+        )
+        self._list_of_behaviors: list[Any] = self._given(
+            "behaviors", behaviors, adapt_action
+        )
         given: list[Any] = list(policies)
         self._rules: dict[str, Any] = {
             "name": name,
@@ -475,7 +479,9 @@ class Robot:
             grace=self._grace,
             modes=turns,
         )
-        self.resources: ResourceSupervisor = ResourceSupervisor(self._resources)
+        self.resources: ResourceSupervisor = ResourceSupervisor(
+            self._resources, self._typed
+        )
         self._halts = Halts(
             name,
             self.actuators,
@@ -711,6 +717,14 @@ class Robot:
         return self._halts.reason
 
     # Inside.
+
+    def _given(
+        self, field: str, parts: object, adapt: Callable[[Any], Any]
+    ) -> list[Any]:
+        if not isinstance(parts, Iterable):
+            told = f"expected a list of components: write [{parts!r:.80}]"
+            raise ConfigError(self._title, field, told)
+        return [adapt(each) for each in parts]
 
     async def _typed(self, text: str) -> str:
         if self._seat.seat is None and (not self._entered or self._stopping.task):

@@ -109,12 +109,12 @@ class BehaviorSupervisor(abc.Supervisor):
 
         Args:
             data: What the receiver gets, untouched.
-            sender: In whose name.
+            sender: In whose name: a component's, ``"user"`` or ``"operator"``.
             receiver: The name of the behavior that gets it.
             interval: How long to keep asking, in seconds.
 
         Raises:
-            UnknownNameError: No behavior is named *receiver*.
+            UnknownNameError: No behavior is named *receiver*, nobody *sender*.
             BehaviorUnavailableError: It could not receive for the interval.
             BehaviorRemovedError: It was removed meanwhile.
             BehaviorFailedError: It crashed meanwhile.
@@ -122,6 +122,7 @@ class BehaviorSupervisor(abc.Supervisor):
             StoppingError: The robot is stopping.
         """
         await Budget.spend()
+        self._deployment.mediator.check_principal("sender", sender)
         await self._deployment.mediator.put(data, sender, receiver, interval)
 
     async def get(self, *, sender: str, receiver: str, interval: float = 1.0) -> Any:
@@ -129,11 +130,12 @@ class BehaviorSupervisor(abc.Supervisor):
 
         Args:
             sender: The name of the behavior that gives.
-            receiver: In whose name it is asked.
+            receiver: In whose name it is asked: a component's, ``"user"`` or
+                ``"operator"``.
             interval: How long to keep asking, in seconds.
 
         Raises:
-            UnknownNameError: No behavior is named *sender*.
+            UnknownNameError: No behavior is named *sender*, nobody *receiver*.
             BehaviorUnavailableError: It could not send for the interval.
             CircularRequestError: It waits, itself or through others, for *receiver*.
             BehaviorRemovedError: It was removed meanwhile.
@@ -142,6 +144,7 @@ class BehaviorSupervisor(abc.Supervisor):
             StoppingError: The robot is stopping.
         """
         await Budget.spend()
+        self._deployment.mediator.check_principal("receiver", receiver)
         return await self._deployment.mediator.get(sender, receiver, interval)
 
     async def ask(
@@ -157,7 +160,7 @@ class BehaviorSupervisor(abc.Supervisor):
 
         Args:
             request: What it is asked; its class says what it is answered with.
-            sender: In whose name.
+            sender: In whose name: a component's, ``"user"`` or ``"operator"``.
             receiver: The name of the behavior that is asked.
             timeout: How long it may wait and work, in seconds; None for no limit.
             progress: Called with what it tells of its progress; the newest wins.
@@ -169,6 +172,7 @@ class BehaviorSupervisor(abc.Supervisor):
             EsairError: As `Behavior.ask`.
         """
         mediator = self._deployment.mediator
+        mediator.check_principal("sender", sender)
         return await mediator.ask(request, sender, receiver, timeout, progress)  # type: ignore[no-any-return]
 
     # What the user may do.
@@ -394,7 +398,9 @@ class BehaviorSupervisor(abc.Supervisor):
     async def command(self, text: str) -> str:
         """Do what an operator types; it has the rights of the user.
 
-        ``help`` lists the commands.
+        ``help`` lists the commands. ``add module:Class name=left speed=0.2`` adds an
+        instance of a class, ``replace NAME module:Class ...`` puts one in a component's
+        place; keys and values are those of a ``robot.toml``.
 
         Returns:
             The answer, for people.

@@ -22,7 +22,7 @@ from esair.exceptions import (
 )
 from esair.journal import Journal, Kind
 from esair.loop import Budget, Deadlines
-from esair.messages import BehaviorState
+from esair.messages import PEOPLE, BehaviorState
 from esair.supervisors._circles import circle_of_ask, circle_of_get
 from esair.supervisors._ledger import Ledger, Outcome
 from esair.supervisors._mailbox import Mailbox
@@ -232,6 +232,15 @@ class Mediator(Ledger):
                 )
 
     # Requests that wait.
+
+    def check_principal(self, role: str, name: str) -> None:
+        """Refuse a request in the name of somebody who is not there.
+
+        Raises:
+            UnknownNameError: It is neither a component nor a person.
+        """
+        if name not in self.boxes and name not in PEOPLE:
+            raise UnknownNameError(role, name, (*self.boxes, *PEOPLE))
 
     def _check(
         self, peer: str, field: str, seconds: float | None, data: Any = None

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Any, overload
 
 from esair import abc, minimal
 from esair.connections import Call, Registration, Terms
 from esair.exceptions import EsairError
-from esair.loop import Budget
+from esair.loop import VERB_COST, Budget
 from esair.messages import Access, ResourceStatus, SupervisorPhase, Why
 from esair.plan import Finding, examine_resource, in_use, refuse
 from esair.resources import Actuator, Resource, adapt_resource
@@ -29,10 +29,14 @@ class ResourceSupervisor(abc.Supervisor):
 
     Args:
         deployment: The resources of the robot.
+        command: Does what an operator types.
     """
 
-    def __init__(self, deployment: ResourceDeployment) -> None:
+    def __init__(
+        self, deployment: ResourceDeployment, command: Callable[[str], Awaitable[str]]
+    ) -> None:
         self._deployment = deployment
+        self._command = command
         self._control = deployment.control
         self._commands = deployment.commands
         self._journal = deployment.journal
@@ -211,6 +215,11 @@ class ResourceSupervisor(abc.Supervisor):
             work, name=f"replace {name}", undo=False, lasts=True
         )
         await asyncio.shield(life.tried)
+
+    async def command(self, text: str) -> str:
+        """Do what an operator types: as `BehaviorSupervisor.command`."""
+        await Budget.spend(VERB_COST)
+        return await self._command(text)
 
     # What behaviors may ask for.
 
