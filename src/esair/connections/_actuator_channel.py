@@ -313,11 +313,13 @@ class ActuatorChannel(Device):
         told: bool = True,
         ready: Any = None,
         now: float | None = None,
+        again: bool = False,
     ) -> Sent:
         """Check everything and send a command, without a wait if the driver has none.
 
         What is ``ready`` is the command as `checked` has returned it in this turn,
         ``now`` is when the turn has begun: all that decide in it share one number.
+        ``again``: it has waited for its turn, and the journal has heard of it.
         """
         if now is None:
             time = self.time  # hot
@@ -332,8 +334,8 @@ class ActuatorChannel(Device):
         ):
             refused = verdict(self.gate, held, registration, now)
             if refused is not None:
-                return self._kept_away(registration, command, refused, now)
-        if heard.command:
+                return self._kept_away(registration, command, refused, now, again)
+        if heard.command and not again:
             self.wanted(registration, command)
         asked = command
         if ready is None:
@@ -406,11 +408,12 @@ class ActuatorChannel(Device):
         command: Any,
         refused: Refused | EsairError,
         now: float,
+        again: bool,
     ) -> Sent:
         """Answer what the verdict is against, but for what asks to be safe."""
         if not isinstance(refused, Refused):
             raise refused
-        if self._journal.heard.command:
+        if self._journal.heard.command and not again:
             self.wanted(registration, command)
         gate = self.gate
         if gate.holds and self.stillness.is_still(command):
@@ -585,8 +588,6 @@ class ActuatorChannel(Device):
             if refused is not None:
                 waiting.remove(write)
                 if isinstance(refused, Refused):
-                    if self._journal.heard.command:
-                        self.wanted(right, write.command)
                     self._refuse(right, refused)
                 write.end(refused)
         while waiting and self.wire.lane is None and self.safe.state is IDLE:
@@ -594,7 +595,8 @@ class ActuatorChannel(Device):
             if write.turn.done():
                 continue
             try:
-                write.end(self.begin(write.registration, write.command, write.hold))
+                right, command, hold = write.registration, write.command, write.hold
+                write.end(self.begin(right, command, hold, again=True))
             except Exception as error:
                 write.end(error)
 
