@@ -39,6 +39,7 @@ MEDIA: Final[Mapping[str, Medium]] = MappingProxyType(
         "can": Medium("esair.buses.can", bus="CanBus", fake="FakeCan"),
         "i2c": Medium("esair.buses.i2c", bus="I2CBus", fake="FakeI2c"),
         "spi": Medium("esair.buses.spi", bus="SpiBus", fake="FakeSpi"),
+        "mqtt": Medium("esair.buses.mqtt", bus="MqttBus", fake="FakeMqtt"),
     }
 )
 """The media by what a robot.toml calls them: ``[bus.x] type = "serial"``."""

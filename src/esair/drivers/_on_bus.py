@@ -137,3 +137,19 @@ async def hear_first(
         if silent_after is not None:
             async for _ in heard(device, inbox, silent_after):
                 return
+
+
+def watching(
+    device: Resource, inbox: Inbox[Any], signs: AsyncIterator[Any]
+) -> asyncio.Task[None]:
+    """Return a task that reports a device as lost when its signs of life end in that."""
+
+    async def watch() -> None:
+        with inbox:
+            try:
+                async for _ in signs:
+                    pass
+            except DeviceLostError as error:
+                device.report_lost(error)
+
+    return spawn(asyncio.get_running_loop(), watch(), name=f"watch {device.name}")

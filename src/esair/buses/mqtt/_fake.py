@@ -1,0 +1,190 @@
+"""A broker in memory, whose other clients a test plays."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+from esair.buses._bus import listen
+from esair.buses._failures import Failures
+from esair.buses._inbox import Awaited, Sent
+from esair.buses.mqtt._bus import MqttBus
+from esair.buses.mqtt._wire import Message, MqttWire, matches
+
+SENT_LIMIT = 4096
+"""How many messages of the robot are kept; then the newest win."""
+
+
+class FakeMqtt(MqttBus):
+    """A broker in memory that does what its test tells it.
+
+    Args:
+        name: The name of the bus.
+        **options: What else `MqttBus` takes, such as ``timeout``.
+
+    Attributes:
+        sent: The newest messages that the robot has published, its last wills too.
+        kept: What the broker has kept, by topic.
+    """
+
+    def __init__(self, name: str = "mqtt", **options: Any) -> None:
+        self._far = _Memory(self)
+        super().__init__(name=name, wire=self._far, **options)
+        self.sent: Sent[Message] = Sent(maxlen=SENT_LIMIT)
+        self.kept: dict[str, Message] = {}
+        self._on_message: list[Callable[[Message], None]] = []
+        self._until: Awaited[Message] = Awaited()
+
+    def feed(self, topic: str, payload: bytes | str, *, retain: bool = False) -> None:
+        """Publish a message as another client does."""
+        self._far.spread(self._message(topic, payload, retain))
+
+    def on_message(self, listener: Callable[[Message], None]) -> Callable[[], None]:
+        """Call a function with each message of the robot; returns how to stop that."""
+        return listen(self._on_message, listener)
+
+    async def until(
+        self, wanted: str | Callable[[Message], bool], *, timeout: float = 1.0
+    ) -> Message:
+        """Wait until the robot has published a message, and return the newest.
+
+        Args:
+            wanted: A topic, or a condition on a message.
+            timeout: How long to wait, in seconds.
+
+        Raises:
+            TimeoutError: It did not come; the last messages are in the error.
+        """
+        return await self._until.until(
+            wanted if callable(wanted) else lambda message: message.topic == wanted,
+            reversed(self.sent),
+            timeout,
+            lambda: (
+                f"{self.name}: {wanted!r} did not come in {timeout:g} s; "
+                f"the last messages are {self.sent[-5:]!r}"
+            ),
+        )
+
+    def fail(
+        self, error: BaseException, *, after: int = 0, times: int | None = 1
+    ) -> None:
+        """Raise an error from what the robot publishes; an `OSError` is a loss.
+
+        Args:
+            error: What to raise.
+            after: How many go well before.
+            times: How many fail; None for all from then on.
+        """
+        self._far.failures.add(error, after, times)
+
+    def stall(self) -> None:
+        """Acknowledge nothing and pass nothing on, until `resume`."""
+        self._far.go.clear()
+
+    def resume(self) -> None:
+        """Go on."""
+        self._far.go.set()
+
+    def unplug(self) -> None:
+        """Have no broker: all connections end."""
+        self._far.unplug()
+
+    def plug(self) -> None:
+        """Have the broker again, with what it had kept."""
+        self._far.plugged = True
+        self.arrived()
+
+    def came(self, message: Message) -> None:
+        """Take a message of the robot, as the other clients do."""
+        self.sent.append(message)
+        self._until.came(message)
+        for listener in tuple(self._on_message):
+            listener(message)
+
+
+class _Memory(MqttWire):
+    def __init__(self, bus: FakeMqtt) -> None:
+        super().__init__()
+        self.bus = bus
+        self.plugged = True
+        self.go = asyncio.Event()
+        self.go.set()
+        self.failures = Failures()
+        self.links: list[_Link] = []
+
+    async def connect(
+        self,
+        heard: Callable[[Message], None],
+        gone: Callable[[BaseException], None],
+        will: Message | None,
+    ) -> _Link:
+        if not self.plugged:
+            raise ConnectionRefusedError("there is no broker")
+        await self.go.wait()
+        link = _Link(self, heard, gone, will)
+        self.links.append(link)
+        return link
+
+    def unplug(self) -> None:
+        self.plugged = False
+        links, self.links = self.links, []
+        for link in links:
+            link.gone(ConnectionResetError("the broker hung up"))
+
+    def spread(self, message: Message) -> None:
+        """Pass a message on to who has subscribed to it, and keep it."""
+        if message.retained:
+            self.bus.kept[message.topic] = message
+            if not message.payload:
+                del self.bus.kept[message.topic]
+        if self.plugged and self.go.is_set():
+            for link in tuple(self.links):
+                link.deliver(message._replace(retained=False))
+
+
+class _Link:
+    def __init__(
+        self,
+        broker: _Memory,
+        heard: Callable[[Message], None],
+        gone: Callable[[BaseException], None],
+        will: Message | None,
+    ) -> None:
+        self._broker = broker
+        self._heard = heard
+        self.gone = gone
+        self._will = will
+        self._patterns: list[str] = []
+        self._loop = asyncio.get_running_loop()
+
+    def deliver(self, message: Message) -> None:
+        if any(matches(each, message.topic) for each in self._patterns):
+            self._loop.call_soon(self._heard, message)
+
+    async def publish(self, message: Message, timeout: float) -> None:
+        await self._answered()
+        self._broker.failures.check()
+        self._loop.call_soon(self._pass_on, message)
+
+    async def subscribe(self, pattern: str, timeout: float) -> None:
+        await self._answered()
+        self._patterns.append(pattern)
+        for kept in self._broker.bus.kept.values():
+            if matches(pattern, kept.topic):
+                self.deliver(kept)
+
+    async def close(self) -> None:
+        if self in self._broker.links:  # else the broker itself has gone
+            self._broker.links.remove(self)
+            if self._will is not None:
+                self._pass_on(self._will)
+
+    def _pass_on(self, message: Message) -> None:
+        self._broker.bus.came(message)
+        self._broker.spread(message)
+
+    async def _answered(self) -> None:
+        if self not in self._broker.links:
+            raise ConnectionResetError("the broker hung up")
+        await self._broker.go.wait()
