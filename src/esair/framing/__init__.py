@@ -8,6 +8,7 @@ from esair.framing._framing import Framing
 from esair.framing._length_crc import LengthCrc
 from esair.framing._lines import Lines
 from esair.framing._looks import Looks
+from esair.framing._mavlink import Mavlink
 from esair.framing._modbus import ModbusRtu, ModbusTcp
 from esair.framing._nmea import (
     SentenceError,
@@ -25,6 +26,7 @@ __all__ = [
     "LengthCrc",
     "Lines",
     "Looks",
+    "Mavlink",
     "ModbusRtu",
     "ModbusTcp",
     "Raw",
@@ -43,5 +45,6 @@ FRAMINGS: dict[str, type[Framing]] = {
     "raw": Raw,
     "modbus-rtu": ModbusRtu,
     "modbus-tcp": ModbusTcp,
+    "mavlink": Mavlink,
 }
 """The framings by the names that a configuration uses."""

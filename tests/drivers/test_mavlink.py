@@ -1,0 +1,181 @@
+"""Vehicles by MAVLink: what they tell, and sticks that let go by themselves."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import socket
+import threading
+from typing import Any
+
+import pytest
+from tests.drivers.parts import Powered, opened
+
+pytest.importorskip("pymavlink", reason="pip install 'esair[mavlink]'")
+
+from esair.buses import SerialBus
+from esair.buses.serial import FakeSerial
+from esair.drivers.mavlink import (
+    Attitude,
+    Heartbeat,
+    MavlinkSensor,
+    Position,
+    RcOverride,
+)
+from esair.drivers.mavlink.fake import FakeVehicle
+from esair.exceptions import BadValueError, ConfigError
+from esair.framing import Mavlink
+from esair.testing import ActuatorContract, SensorContract
+
+pytestmark = pytest.mark.virtual_clock
+
+STICKS: dict[str, Any] = {
+    "channels": {"steering": 1, "throttle": 3},
+    "safe": {"steering": 0.0, "throttle": 0.0},
+}
+
+
+class OnLine(Powered):
+    def line(self) -> FakeSerial:
+        line = FakeSerial(framing="mavlink")
+        self.far = FakeVehicle(line)
+        return line
+
+
+class TestSensor(OnLine, SensorContract):
+    keeps_nothing = "it is told nothing"
+
+    def make(self) -> MavlinkSensor:
+        return MavlinkSensor(message="ATTITUDE", period=0.1, bus=self.line())
+
+
+class TestOverride(OnLine, ActuatorContract):
+    keeps_nothing = "what it was told it forgets by itself"
+
+    def make(self) -> RcOverride:
+        return RcOverride(**STICKS, bus=self.line())
+
+    def commands(self) -> list[Any]:
+        return [{"steering": -1.0, "throttle": 0.5}, {"steering": 1.0, "throttle": 0.0}]
+
+
+def packet(framing: Mavlink, message: str, *fields: Any) -> bytes:
+    mav = framing.dialect.MAVLink(None, 7, 1)
+    kind = getattr(framing.dialect, f"MAVLink_{message}_message")
+    return bytes(kind(*fields).pack(mav, force_mavlink1=framing.version == 1))
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_packet_is_found_in_whatever_is_around_it(version: Any) -> None:
+    """Also behind one that was cut, and one whose dialect is another."""
+    framing = Mavlink(version=version)
+    wire = packet(framing, "heartbeat", 10, 3, 128, 0, 4, 3)
+    unknown = bytearray(wire)
+    unknown[7 if version == 2 else 5] = 255
+    stream = b"\xfd\xfe" + wire[:9] + wire + bytes(unknown) + wire + bytes(300)
+
+    payloads = framing.feed(stream)
+
+    assert payloads == [wire[2:-2]] * 2
+    assert framing.bad_frames > 0
+    assert framing.encode(payloads[0]) == wire
+    with pytest.raises(BadValueError, match="no such message"):
+        framing.encode(bytes(unknown[2:-2]))
+
+
+async def test_readings_are_in_units_of_the_house() -> None:
+    """Radians, metres and degrees of WGS 84; other messages as they are, or scaled."""
+    line = FakeSerial(framing="mavlink")
+    FakeVehicle(line, system=9)
+    FakeVehicle(line, system=1).yaw = math.pi / 2
+    beat = MavlinkSensor(name="beat", bus=line)
+    turned = MavlinkSensor(message="ATTITUDE", name="turned", bus=line)
+    place = MavlinkSensor(message="GLOBAL_POSITION_INT", name="place", bus=line)
+    raw = MavlinkSensor(
+        message="ATTITUDE", value="yaw", scale=2.0, name="raw", bus=line
+    )
+    async with opened(beat, turned, place, raw):
+        assert await anext(beat.stream()) == Heartbeat(True, 0, 4, 10)
+        attitude = await anext(turned.stream())
+        assert isinstance(attitude, Attitude)
+        assert attitude.yaw == pytest.approx(math.pi / 2)
+        position = await anext(place.stream())
+        assert isinstance(position, Position)
+        assert position.heading == pytest.approx(math.pi / 2)
+        assert await anext(raw.stream()) == pytest.approx(math.pi)
+
+
+async def test_sticks_that_are_not_held_let_go() -> None:
+    """The vehicle's own time-out ends what was told last; its station is known to it."""
+    line = FakeSerial(framing="mavlink")
+    rover = FakeVehicle(line, own_timeout=1.0)
+    sticks = RcOverride(**STICKS, own_timeout=1.0, bus=line)
+    async with opened(sticks):
+        await sticks.write({"steering": 0.0, "throttle": 1.0})
+        await asyncio.sleep(0.5)
+        assert rover.sticks == [1500, 2000]
+        assert rover.speed == 5.0
+        assert rover.heard["RC_CHANNELS_OVERRIDE"].chan2_raw == 65535
+        await asyncio.sleep(1.0)
+        assert rover.speed == 0.0
+        assert rover.heard["HEARTBEAT"].type == 6
+        before = rover.heard["HEARTBEAT"]
+        await asyncio.sleep(1.1)
+        assert rover.heard["HEARTBEAT"] is not before
+
+
+def test_mistakes_are_told() -> None:
+    """A message, a field and a stick that are none."""
+    line = FakeSerial(framing="mavlink")
+    with pytest.raises(ConfigError, match="message: the dialect has no 'SONG'"):
+        MavlinkSensor(message="SONG", bus=line)
+    with pytest.raises(ConfigError, match="value: expected one of time_boot_ms, roll"):
+        MavlinkSensor(message="ATTITUDE", value="rol", bus=line)
+    with pytest.raises(ConfigError, match="channels: expected a channel for each"):
+        RcOverride(channels={"a": 1}, safe={"b": 0.0}, bus=line)
+    with pytest.raises(ConfigError, match="framing='mavlink'"):
+        MavlinkSensor(bus=FakeSerial())
+
+
+@pytest.mark.real_clock
+async def test_pymavlink_itself_is_the_vehicle(monkeypatch) -> None:
+    """Its own connection, on TCP: it is heard, and hears the sticks."""
+    monkeypatch.setenv("MAVLINK20", "1")  # else it speaks version 1
+    from pymavlink import mavutil
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    vehicle = mavutil.mavlink_connection(
+        f"tcpin:127.0.0.1:{port}", source_system=1, dialect="ardupilotmega"
+    )
+    heard: list[Any] = []
+    done = threading.Event()
+
+    def drive() -> None:
+        while not done.wait(0.02):
+            told = vehicle.recv_match(blocking=False)
+            if told is not None:
+                heard.append(told)
+            vehicle.mav.heartbeat_send(10, 3, 128, 0, 4)
+            vehicle.mav.attitude_send(0, 0.5, 0, 0, 0, 0, 0)
+
+    driving = threading.Thread(target=drive)
+    driving.start()
+    try:
+        bus = SerialBus(name="v", port=f"socket://127.0.0.1:{port}", framing="mavlink")
+        turned = MavlinkSensor(message="ATTITUDE", name="turned", bus=bus)
+        sticks = RcOverride(**STICKS, name="sticks", bus=bus)
+        async with opened(turned, sticks):
+            assert (await anext(turned.stream())).roll == 0.5
+            await sticks.write({"steering": 1.0, "throttle": -1.0})
+            async with asyncio.timeout(10.0):
+                while "RC_CHANNELS_OVERRIDE" not in {m.get_type() for m in heard}:  # noqa: ASYNC110
+                    await asyncio.sleep(0.01)
+    finally:
+        done.set()
+        driving.join()
+        vehicle.close()
+
+    told = next(m for m in heard if m.get_type() == "RC_CHANNELS_OVERRIDE")
+    assert (told.chan1_raw, told.chan3_raw) == (2000, 1000)
