@@ -1,0 +1,211 @@
+"""Control units by UDS over ISO-TP: long answers, sessions, and who is absent."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from tests.drivers.parts import OnCan, opened
+
+pytest.importorskip("udsoncan", reason="pip install 'esair[uds]'")
+pytest.importorskip("isotp", reason="pip install 'esair[uds]'")
+
+import isotp
+
+from esair.buses import CanBus
+from esair.buses.can import FakeCan
+from esair.drivers.uds import IsoTp, UdsActuator, UdsSensor
+from esair.drivers.uds.fake import FakeUnit
+from esair.exceptions import ConfigError, DeviceFaultError, DriverStuckError
+from esair.testing import ActuatorContract, GatewayContract, SensorContract
+
+pytestmark = pytest.mark.virtual_clock
+
+VALUES = {0xF405: b"\x7b", 0x0123: b"\x00", 0xF190: b"WVWZZZ1JZXW000001"}
+
+
+class OnUnit(OnCan):
+    def unit(self) -> FakeCan:
+        self.far = FakeUnit(self.wire, VALUES)
+        wire: FakeCan = self.wire
+        return wire
+
+    async def silence_by_proxy(self, _device: Any) -> None:
+        self.far.refuse = 0x25
+
+    async def speak(self, _device: Any) -> None:
+        self.far.silent, self.far.refuse = False, 0
+
+
+class TestSensor(OnUnit, GatewayContract, SensorContract):
+    keeps_nothing = "it is told nothing"
+
+    def make(self) -> UdsSensor:
+        return UdsSensor(identifier=0xF405, layout="B", offset=-40.0, bus=self.unit())
+
+
+class TestText(OnUnit, SensorContract):
+    keeps_nothing = "it is told nothing"
+
+    def make(self) -> UdsSensor:
+        return UdsSensor(identifier=0xF190, layout="17s", bus=self.unit())
+
+
+class TestControl(OnUnit, GatewayContract, ActuatorContract):
+    def make(self) -> UdsActuator:
+        return UdsActuator(
+            identifier=0x0123, layout="B", scale=0.01, safe=0.0, bus=self.unit()
+        )
+
+    def commands(self) -> list[Any]:
+        return [0.5, 1.0]
+
+
+class TestWrite(TestControl):
+    def make(self) -> UdsActuator:
+        return UdsActuator(
+            identifier=0x0123, layout="B", safe=1.0, by="write", bus=self.unit()
+        )
+
+
+async def test_what_is_read_is_in_its_unit() -> None:
+    """A number is scaled; a text comes in several frames."""
+    can = FakeCan()
+    FakeUnit(can, VALUES)
+    warm = UdsSensor(identifier=0xF405, layout="B", offset=-40.0, name="w", bus=can)
+    text = UdsSensor(identifier=0xF190, layout="17s", name="t", bus=can)
+    async with opened(warm, text):
+        read = await asyncio.gather(warm.read(), text.read(), warm.read())
+        assert list(read) == [83.0, "WVWZZZ1JZXW000001", 83.0]
+
+
+async def test_an_output_comes_back_by_itself() -> None:
+    """The session lives while its tester does; the unit takes its output at its end."""
+    can = FakeCan()
+    unit = FakeUnit(can, VALUES)
+    fan = UdsActuator(identifier=0x0123, layout="B", scale=0.01, safe=0.0, bus=can)
+    async with opened(fan):
+        await fan.write(0.25)
+        assert unit.controlled == {0x0123: bytes([25])}
+        await asyncio.sleep(20.0)
+        assert await fan.is_set_up()
+        unit.silent = True
+        await asyncio.sleep(6.0)
+        unit.silent = False
+        assert not await fan.is_set_up()
+        assert unit.controlled == {}
+        await fan.open()
+        await fan.write(1.0)
+    assert unit.controlled == {}
+
+
+async def test_who_needs_longer_is_waited_for() -> None:
+    """Response pending is neither an answer nor silence, but has its end."""
+    can = FakeCan()
+    unit = FakeUnit(can, VALUES)
+    sensor = UdsSensor(identifier=0xF405, layout="B", bus=can)
+    async with opened(sensor):
+        unit.pending = 3
+        assert await sensor.read() == 123.0
+        unit.silent = True
+        asking = asyncio.ensure_future(sensor.read())
+        await asyncio.sleep(0.4)
+        can.feed(0x7E8, bytes.fromhex("037f2278"))
+        await asyncio.sleep(4.0)
+        assert not asking.done()
+        with pytest.raises(DriverStuckError):
+            await asking
+
+
+@pytest.mark.parametrize(
+    ("code", "told"),
+    [(0x33, "SecurityAccessDenied"), (0x22, "ConditionsNotCorrect"), (0xEE, "238")],
+)
+async def test_a_refusal_is_told_by_its_name(code: int, told: str) -> None:
+    """It is a fault of what was asked, not a loss."""
+    can = FakeCan()
+    unit = FakeUnit(can, VALUES)
+    sensor = UdsSensor(identifier=0xF405, layout="B", bus=can)
+    async with opened(sensor):
+        unit.refuse = code
+        with pytest.raises(DeviceFaultError, match=f"0xf405 is refused: {told}"):
+            await sensor.read()
+
+
+async def test_what_does_not_fit_is_a_fault() -> None:
+    """Neither the answer of another layout nor a command that is too great is used."""
+    can = FakeCan()
+    FakeUnit(can, VALUES)
+    wide = UdsSensor(identifier=0xF190, layout="17s", name="wide", bus=can)
+    fan = UdsActuator(identifier=0x0123, layout="B", safe=0.0, name="fan", bus=can)
+    async with opened(wide, fan):
+        wide._layout = UdsSensor(identifier=1, layout="I", bus=can)._layout
+        with pytest.raises(DeviceFaultError, match="expected 4 bytes"):
+            await wide.read()
+        with pytest.raises(DeviceFaultError, match=r"256.0 does not fit '>B'"):
+            await fan.write(256.0)
+    with pytest.raises(ConfigError, match="layout: expected one value"):
+        UdsSensor(identifier=1, layout="HH", bus=can)
+
+
+@pytest.mark.real_clock
+async def test_another_stack_is_the_unit() -> None:
+    """can-isotp's own, in a thread on python-can, with udsoncan's words: 200 bytes."""
+    import can
+    from udsoncan import Request, Response, services
+
+    with can.Bus(interface="virtual", channel="uds", receive_own_messages=False) as bus:
+        notifier = can.Notifier(bus, [])
+        stack = isotp.NotifierBasedCanStack(
+            bus, notifier, address=isotp.Address(txid=0x7E8, rxid=0x7E0)
+        )
+        stack.start()
+        done = threading.Event()
+
+        def answer() -> None:
+            while not done.is_set():
+                asked = stack.recv(block=True, timeout=0.05)
+                if asked is None:
+                    continue
+                request = Request.from_payload(bytes(asked))
+                text = bytes(request.data) + bytes(
+                    itertools.islice(itertools.cycle(b"ab"), 200)
+                )
+                service = services.ReadDataByIdentifier
+                stack.send(Response(service, 0, text).get_payload())
+
+        answering = threading.Thread(target=answer)
+        answering.start()
+        try:
+            robot = CanBus(name="drive", interface="virtual", channel="uds")
+            sensor = UdsSensor(identifier=0xF190, layout="200s", timeout=5.0, bus=robot)
+            async with opened(sensor):
+                assert await sensor.read() == "ab" * 100
+        finally:
+            done.set()
+            answering.join()
+            stack.stop()
+            notifier.stop()
+
+
+async def test_long_requests_are_cut_and_go_their_own_way(
+    fake_can: Callable[..., FakeCan],
+) -> None:
+    """ISO-TP alone, both ways; one request at a time, however many ask."""
+    wire = fake_can("drive")
+    FakeUnit(wire, VALUES)
+    link = IsoTp.of(wire, 0x7E0, 0x7E8)
+    await wire.open()
+    link.join(wire, "me")
+    await link.ask(wire, b"\x10\x03", b"\x50", timeout=1.0)
+    asked = [b"\x2e\x01\x23" + bytes([n]) * 100 for n in range(5)]
+    answers = await asyncio.gather(
+        *(link.ask(wire, each, b"\x6e", b"\x7f", timeout=1.0) for each in asked)
+    )
+    assert answers == [b"\x6e\x01\x23"] * 5
+    await link.leave("me")
+    await wire.close()
