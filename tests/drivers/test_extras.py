@@ -12,8 +12,10 @@ import pytest
         ("canopen", "canopen"),
         ("dbc", "cantools"),
         ("gps", "pynmeagps"),
+        ("mavlink", "pymavlink"),
         ("modbus", "pymodbus"),
         ("servo", "dynamixel_sdk"),
+        ("uds", "isotp"),
     ],
 )
 def test_a_driver_without_its_package_names_the_extra(
