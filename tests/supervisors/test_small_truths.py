@@ -104,7 +104,7 @@ async def test_an_order_goes_to_the_next_if_its_taker_is_cancelled_in_that_insta
     asker, two = Idle(name="asker"), Two()
     async with esair.Robot(behaviors=[asker, two]):
         await asyncio.sleep(0.1)
-        queue: Any = vars(two)["jobs"]._source
+        queue: Any = vars(two)["jobs"]._loop.__self__
         asking = asyncio.create_task(asker.ask("two", Job(1), timeout=1.0))
         while not queue.count:  # noqa: ASYNC110 - the very instant is wanted
             await asyncio.sleep(0)

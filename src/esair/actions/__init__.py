@@ -1,6 +1,20 @@
-"""What the robot does: behaviors deliberate, reactions react."""
+"""What the robot does: behaviors deliberate, reactions react.
 
-from esair.actions._behavior import NOTHING, Behavior
+An action declares what it reads, writes and guards (`_needs`); in a robot that runs each of
+these is a port. A behavior has a task, or a thread whose calls wait (`_blocking`), and asks
+its supervisor for the rest: `Host` and `Mail` are all that it knows of it. A reaction has a
+runner::
+
+    ReactionRunner | GuardRunner | Derivation
+      Senses ──> Input     the newest readings, how old they may be, who waits for a step
+      react                the user's own code; a step of it is one turn of the scheduler
+      Outputs ──> Output   at most one wish for each actuator in a turn
+
+What is computed of readings is a sensor that is declared like a reaction (`_derived`). A
+request of one behavior to another is typed by what it is answered with (`_requests`).
+"""
+
+from esair.actions._behavior import NOTHING, Behavior, Host, PortTerms
 from esair.actions._blocking import BlockingCalls, ThreadBehavior
 from esair.actions._blocking_ports import (
     BlockingActuatorPort,
@@ -10,31 +24,33 @@ from esair.actions._blocking_ports import (
     in_loop,
 )
 from esair.actions._derived import Derivation, Derived
-from esair.actions._host import Host, Terms
 from esair.actions._needs import (
     Blind,
     Guards,
     Need,
     ProfiledAction,
     Reads,
+    Works,
     Writes,
+    declared_works,
     guards,
     reads,
+    works,
     writes,
 )
 from esair.actions._reaction import MinimalReaction, Reaction, StepClock, adapt_action
 from esair.actions._reaction_runner import GuardRunner, Hooks, ReactionRunner, ordered
-from esair.actions._request import Request, taken
-from esair.actions._takes import (
+from esair.actions._requests import (
     BlockingRequestPort,
+    Request,
     RequestPort,
     Takes,
     answers,
     declared_requests,
     is_request,
+    taken,
     takes,
 )
-from esair.actions._works import Works, declared_works, works
 from esair.connections import ActuatorPort, SensorPort
 
 __all__ = [
@@ -54,6 +70,7 @@ __all__ = [
     "Host",
     "MinimalReaction",
     "Need",
+    "PortTerms",
     "ProfiledAction",
     "Reaction",
     "ReactionRunner",
@@ -63,7 +80,6 @@ __all__ = [
     "SensorPort",
     "StepClock",
     "Takes",
-    "Terms",
     "ThreadBehavior",
     "Works",
     "Writes",

@@ -1,23 +1,140 @@
-"""Behaviors: the deliberative actions of a robot."""
+"""Behaviors: the deliberative actions of a robot, and what they ask of their supervisor."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, overload
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Literal,
+    NamedTuple,
+    Protocol,
+    TypeVar,
+    cast,
+    overload,
+)
 
 from esair import minimal
-from esair.actions._host import Host, Mail, Terms
+from esair.abc import Action
+from esair.actions._blocking_ports import Waits, calls, waits
 from esair.actions._needs import ProfiledAction, Unbound, not_bound
 from esair.actions._reaction import Reaction, adapt_action
-from esair.actions._request import Request
-from esair.actions._supervisor import Behaviors, BlockingBehaviors
-from esair.actions._takes import Takes, declared_requests
+from esair.actions._requests import Request, Takes, declared_requests
 from esair.connections import ActuatorPort, Halting, SensorPort, Stopped
 from esair.exceptions import BadValueError
 from esair.loop import PUT_COST, VERB_COST, Budget, Portal, portal
-from esair.messages import Access, Restart
+from esair.messages import Access, BehaviorStatus, Restart
 from esair.values import check_duration, passes_as, type_name
+
+
+class PortTerms(NamedTuple):
+    """For what a behavior registers at run time; see `Behavior.register`."""
+
+    resource: str
+    access: Access
+    as_type: type[Any] | None
+    priority: int
+    hold: float | None
+    max_age: float | None
+
+
+class Mail(Protocol):
+    """How a running behavior exchanges data with others."""
+
+    budget: Budget
+
+    def hand(self, receiver: str, data: Any, interval: float) -> bool: ...
+    def put(
+        self, receiver: str, data: Any, interval: float
+    ) -> Coroutine[Any, Any, None]: ...
+    def take(self, sender: str, interval: float) -> Any: ...
+    def get(self, sender: str, interval: float) -> Coroutine[Any, Any, Any]: ...
+    async def receive(self, timeout: float | None) -> tuple[str, Any]: ...
+    def ask(
+        self,
+        receiver: str,
+        request: Any,
+        timeout: float | None,
+        progress: Callable[[Any], object] | None,
+    ) -> Coroutine[Any, Any, Any]: ...
+    def offer(self, data: Any, latest: bool) -> None: ...
+
+
+class Host(Protocol):
+    """What a running behavior asks of its supervisor."""
+
+    @property
+    def portal(self) -> Portal | None: ...
+    async def perform(
+        self,
+        reaction: Reaction,
+        until: Callable[..., bool] | None,
+        timeout: float | None,
+        blind_timeout: float | None,
+    ) -> bool: ...
+    async def perform_behavior(self, behavior: Any, timeout: float | None) -> Any: ...
+    async def register(
+        self, terms: PortTerms
+    ) -> SensorPort[Any] | ActuatorPort[Any]: ...
+    def halt_robot(self, reason: str) -> Halting: ...
+    def query(self, name: str) -> BehaviorStatus: ...
+    async def manage(self, verb: str, *args: Any) -> Any: ...
+    async def stop_robot(self, reason: str) -> Stopped: ...
+
+
+class Behaviors:
+    """The behaviors of the robot, for one of them.
+
+    It may always `query`. The rest takes a right from the developer:
+    ``Policy.behaviors(allow={"captain": "manage"})``; each raises `AccessDeniedError`
+    without it, and else does and raises what the `BehaviorSupervisor` does.
+    """
+
+    def __init__(self, host: Host) -> None:
+        self._host = host
+
+    def query(self, name: str) -> BehaviorStatus:
+        """Tell what a behavior is doing. Answers at any time, without a wait.
+
+        Raises:
+            UnknownNameError: No behavior has the name.
+        """
+        return self._host.query(name)
+
+    async def add(self, behavior: Action) -> None:
+        """Deploy a behavior or reaction; see `BehaviorSupervisor.add`."""
+        await self._host.manage("add", behavior)
+
+    async def remove(self, name: str) -> list[Any]:
+        """Take a behavior away; see `BehaviorSupervisor.remove`."""
+        return await self._host.manage("remove", name)  # type: ignore[no-any-return]
+
+    async def replace(self, name: str, behavior: Action) -> list[Any]:
+        """Put another in the place of one; see `BehaviorSupervisor.replace`."""
+        return await self._host.manage("replace", name, behavior)  # type: ignore[no-any-return]
+
+    async def restart(self, name: str) -> None:
+        """End the run of a behavior and begin another; see `BehaviorSupervisor.restart`."""
+        await self._host.manage("restart", name)
+
+    async def switch(self, mode: str, reason: str = "") -> None:
+        """Go to another mode; see `BehaviorSupervisor.switch`."""
+        await self._host.manage("switch", mode, reason)
+
+
+class BlockingBehaviors(Waits):
+    """`Behaviors` for a behavior with a plain ``run``: the thread waits."""
+
+    __slots__ = ()
+
+    query = calls(Behaviors.query)
+    add = waits(Behaviors.add)
+    remove = waits(Behaviors.remove)
+    replace = waits(Behaviors.replace)
+    restart = waits(Behaviors.restart)
+    switch = waits(Behaviors.switch)
+
 
 A = TypeVar("A")
 T = TypeVar("T")
@@ -363,7 +480,7 @@ class Behavior(ProfiledAction):
             AccessDeniedError: A rule denies it.
             ConfigError: It gives or takes something else.
         """
-        terms = Terms(resource, access, as_type, priority, hold, max_age)
+        terms = PortTerms(resource, access, as_type, priority, hold, max_age)
         return await self._host.register(terms)
 
     @property

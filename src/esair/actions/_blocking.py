@@ -10,14 +10,13 @@ from collections.abc import Awaitable, Callable
 from typing import Any, Concatenate, Literal, ParamSpec, TypeVar, cast, overload
 
 from esair import minimal
-from esair.actions._behavior import Behavior, D, portal_of
+from esair.actions._behavior import Behavior, BlockingBehaviors, D, portal_of
 from esair.actions._blocking_ports import (
     BlockingActuatorPort,
     BlockingSensorPort,
     in_loop,
 )
 from esair.actions._reaction import Reaction
-from esair.actions._supervisor import BlockingBehaviors
 from esair.messages import Access
 
 R = TypeVar("R")

@@ -1,4 +1,4 @@
-"""What an action declares to read and write: class attributes that become ports."""
+"""What an action declares: what it reads, writes and guards, and what it owes."""
 
 from __future__ import annotations
 
@@ -24,9 +24,11 @@ from esair.connections import ActuatorPort, SensorPort
 from esair.exceptions import ConfigError, NotRegisteredError
 from esair.messages import Access
 from esair.resources import APPLIED
+from esair.values import check_name, is_positive
 
 if TYPE_CHECKING:
-    from esair.actions._supervisor import HasThread
+    from esair.actions._blocking import ThreadBehavior
+
 
 B = TypeVar("B")
 P = TypeVar("P")
@@ -67,7 +69,7 @@ class Becomes(Generic[P, B]):
     @overload
     def __get__(self, instance: None, owner: type) -> Self: ...
     @overload
-    def __get__(self, instance: HasThread, owner: type) -> B: ...
+    def __get__(self, instance: ThreadBehavior, owner: type) -> B: ...
     @overload
     def __get__(self, instance: object, owner: type) -> P: ...
     def __get__(self, instance: object | None, owner: type) -> Any:
@@ -341,3 +343,53 @@ class ProfiledAction(abc.Action):
         if not isinstance(need, Writes):
             return isinstance(need, Guards)
         return (need.blind or self.blind_unless_said) == "safe"
+
+
+@attrs.frozen
+class Works:
+    """What an action does for as long as nothing is wrong; made by `works`.
+
+    Attributes:
+        partners: The actuators that it commands, and the behaviors that it puts to, gets
+            from or asks; all of them if there is none here.
+        within: The longest pause between two times, in seconds; None if it owes nothing.
+    """
+
+    partners: tuple[str, ...] = ()
+    within: float | None = None
+
+
+def works(*partners: str, within: float = 4.0, idle: bool = False) -> Works:
+    """Declare, as a class attribute, what an action does while nothing is wrong.
+
+    A robot takes no notice of it. `esair torture` expects it again soon after the last
+    fault, beside what the robot did steadily when nothing was done to it.
+
+    Args:
+        partners: The names of the actuators that it commands, or of the behaviors that
+            it puts to, gets from or asks. Without any it is to do anything at all.
+        within: Its longest pause, in seconds.
+        idle: It owes nothing: it may rest, or end, whenever it likes. With partners, it
+            owes nothing to those.
+
+    Raises:
+        ConfigError: A name, or the time, is none.
+
+    Example:
+        >>> class Patrol(esair.Behavior):
+        ...     wheels = esair.writes(Twist)
+        ...     rounds = esair.works("wheels", within=30.0)
+    """
+    for name in partners:
+        check_name("works", name)
+    if not idle and not is_positive(within):
+        raise ConfigError(
+            "works", "within", f"expected seconds > 0, not {within!r:.80}"
+        )
+    return Works(partners, None if idle else float(within))
+
+
+def declared_works(action: Any) -> list[Works]:
+    """Return what an action says that it does, or need not do."""
+    values = attributes_of(type(action)).values()
+    return [each for each in values if isinstance(each, Works)]

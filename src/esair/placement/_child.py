@@ -388,9 +388,9 @@ class Child:
             if isinstance(each, Takes) and each.method is None:
                 source = Orders(self, attribute)
                 fields[attribute] = (
-                    BlockingRequestPort(source, self.portal)
+                    BlockingRequestPort(source.loop, self.portal)
                     if self.portal
-                    else RequestPort(source)
+                    else RequestPort(source.loop)
                 )
 
     def _decide(self, values: list[Any], now_ms: int, elapsed_ms: int) -> Any:

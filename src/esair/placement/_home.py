@@ -8,7 +8,7 @@ import inspect
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator, Iterator
 from typing import Any, Protocol
 
-from esair.actions import NOTHING, Terms, each_of, in_loop, taken
+from esair.actions import NOTHING, PortTerms, each_of, in_loop, taken
 from esair.connections import Halting, Stopped
 from esair.loop import Budget, Owner, Portal, spawn
 from esair.messages import BehaviorStatus
@@ -97,7 +97,7 @@ class Host:
 
     perform_behavior = perform
 
-    async def register(self, terms: Terms) -> Any:
+    async def register(self, terms: PortTerms) -> Any:
         resource, access, _, priority, hold, max_age = terms
         asked = resource, access, priority, hold, max_age
         key = await self._child.call("register", *asked)
@@ -204,7 +204,7 @@ def _named(port: RemotePort, name: str, *args: Any, **options: Any) -> Any:
 
 
 class Orders:
-    """Where a port gets the requests that wait for its behavior (`RequestSource`)."""
+    """Where a port gets the requests that wait for its behavior."""
 
     def __init__(self, child: Line, attribute: str) -> None:
         self._child = child
@@ -215,7 +215,7 @@ class Orders:
 
 
 class Loop(AsyncIterator[Any]):
-    """One loop of a behavior over the requests that it takes (`RequestLoop`)."""
+    """One loop of a behavior over the requests that it takes."""
 
     def __init__(self, child: Line, attribute: str) -> None:
         self._child = child
@@ -223,30 +223,30 @@ class Loop(AsyncIterator[Any]):
         self._number: int | None = None
 
     async def __anext__(self) -> Any:
-        request = await self.next()
-        self.serve()
-        return request
-
-    async def next(self) -> Any:
         """Wait for the next request."""
         child = self._child
         if self._number is None:
             self._number = await child.call("loop", self._attribute)
         number, data, sender = await child.call("next order", self._number)
-        return Order(child, number, data, sender).handle
-
-    def serve(self) -> None:
-        """What the caller does from now on, it does for this request."""
-        assert self._number is not None
-        scope.set(self._number)
+        order = Order(child, number, data, sender, self._number)
+        order.serve()
+        return order.handle
 
 
 class Order:
     """One request on its way from its asker, in the robot, to its one outcome."""
 
-    def __init__(self, child: Line, number: int, data: Any, sender: str) -> None:
+    def __init__(
+        self,
+        child: Line,
+        number: int,
+        data: Any,
+        sender: str,
+        loop: int = 0,
+    ) -> None:
         self._child = child
         self._number = number
+        self._loop = loop  # the number of the loop in which it was taken
         self.data, self.sender = data, sender
         self.handle = taken(data, self)  # type: ignore[arg-type]  # asked for, not set
         self._before = 0
@@ -274,6 +274,10 @@ class Order:
             self._before = self._worker.cancelling()
             self._child.orders[self._number] = self._withdrawn
         self._child.ask("enter", self._number)
+
+    def serve(self) -> None:
+        """What is done here from now on is done for it."""
+        scope.set(self._loop)
 
     def leave(self, error: BaseException | None) -> bool:
         """The block is left; tells whether its error ends here."""

@@ -10,11 +10,16 @@ file, from a script, and for each component that comes into a running one::
 A new rule goes into the file of its subject, and is asked in ``_examine.py``.
 """
 
-from esair.plan._derived import depths
-from esair.plan._examine import examine, examine_action, examine_resource, examine_step
+from esair.plan._examine import (
+    examine,
+    examine_action,
+    examine_resource,
+    examine_step,
+    failures,
+    in_use,
+)
 from esair.plan._finding import Finding, Severity, errors_in, refuse
-from esair.plan._names import in_use
-from esair.plan._needs import unmet
+from esair.plan._needs import denial, depths, not_alone, unmet
 from esair.plan._placement import SCRIPT, inner_of, recipe_of
 from esair.plan._plan import Plan
 from esair.plan._protection import (
@@ -25,8 +30,6 @@ from esair.plan._protection import (
     protection,
     when_alone,
 )
-from esair.plan._rights import denial, not_alone
-from esair.plan._together import failures
 
 __all__ = [
     "SCRIPT",

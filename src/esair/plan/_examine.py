@@ -1,27 +1,236 @@
-"""The rulebook itself: which rules are asked, of what, and in which order."""
+"""The rulebook itself: which rules are asked, of what, and in which order.
+
+And what only the whole robot shows: names, what is shared, who starves, what nobody uses.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
-from typing import Any
+import itertools
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
 
+from esair import minimal
+from esair.abc import Component
 from esair.actions import Behavior, Derived, Reaction
-from esair.exceptions import ConfigError
-from esair.messages import is_placed
-from esair.plan._actions import mistakes_in_action, mistyped
-from esair.plan._buses import claimed_twice, odd_buses, overloaded
-from esair.plan._derived import underivable
-from esair.plan._finding import Finding, because, mistake
+from esair.exceptions import ConfigError, EsairError, NameTakenError
+from esair.messages import OPERATOR, Restart, is_placed
+from esair.plan._declarations import mistakes_in_action, mistakes_in_resource, mistyped
+from esair.plan._finding import Finding, because, mistake, warning
 from esair.plan._modes import mistakes_in_modes
-from esair.plan._names import in_use, taken, taken_by_another, used_already, wrong_kind
-from esair.plan._needs import unmet, untimely
+from esair.plan._needs import denied, mistakes_in_policies, underivable, unmet, untimely
 from esair.plan._placement import unplaceable
-from esair.plan._plan import Plan
+from esair.plan._plan import Plan, name_of
 from esair.plan._protection import unprotected
-from esair.plan._resources import mistakes_in_resource
-from esair.plan._rights import denied, mistakes_in_policies
-from esair.plan._together import never_failed, starving, unused
-from esair.resources import Resource
+from esair.resources import Actuator, Resource, Sensor
+
+if TYPE_CHECKING:
+    from esair.buses import Bus
+
+
+def wrong_kind(component: object, *, resource: bool) -> Finding | None:
+    """Find what is no resource, or no action, or has no good name."""
+    wanted: tuple[type, ...] = (Sensor, Actuator) if resource else (Behavior, Reaction)
+    of_min = (minimal.Sensor, minimal.Actuator) if resource else (minimal.Reaction,)
+    if not isinstance(component, wanted):
+        names = " or ".join(f"esair.{each.__name__}" for each in wanted)
+        told, of = f"expected an {names}", repr(component)
+        if isinstance(component, type) and issubclass(component, (*wanted, *of_min)):
+            of = component.__name__
+            told = f"you gave the class: write {of}()"
+        return mistake("declaration", component, "", told, of=of)
+    assert isinstance(component, Component)
+    try:
+        if component.name == OPERATOR:
+            told = "this is the name in which people act: choose another name="
+            raise ConfigError(component.name, "name", told)
+    except EsairError as error:
+        return because("name", component, error)
+    return None
+
+
+def in_use(component: object) -> bool:
+    """Tell whether a component is deployed, in this robot or in another one."""
+    if isinstance(component, Resource):
+        return component._listener is not None  # noqa: SLF001 - set by a supervisor
+    return isinstance(component, Behavior) and "_host" in vars(component)
+
+
+def used_already(component: Component) -> Finding:
+    """Make the finding for a component that a running robot has."""
+    told = "it is in a running robot already: make another one for this place"
+    return because("name", component, ConfigError(component.name, "", told))
+
+
+def taken(
+    kind: str, about: Iterable[object], everybody: Sequence[object], missing: set[str]
+) -> Iterator[Finding]:
+    """Find the components whose name another one has."""
+    owners: dict[str, object] = {}
+    for each in everybody:
+        if name := name_of(each):
+            owners.setdefault(name, each)
+    seen: set[int] = set()
+    for component in about:
+        name = name_of(component)
+        if name is None:
+            continue
+        again = id(component) in seen
+        seen.add(id(component))
+        if again or name in missing or owners.get(name, component) is not component:
+            yield because("name", component, NameTakenError(kind, name))
+
+
+def taken_by_another(
+    kind: str, component: object, there: Mapping[str, object]
+) -> Iterator[Finding]:
+    """Find out if the name of a component that comes is another one's."""
+    name = name_of(component)
+    if name is not None and there.get(name, component) is not component:
+        yield because("name", component, NameTakenError(kind, name))
+
+
+def starving(plan: Plan) -> Iterator[Finding]:
+    """Find actions that keep each other from an actuator."""
+    for resource in plan.resource_names:
+        writers = plan.writes_of(resource)
+        for (one, low), (other, high) in itertools.combinations(
+            sorted(writers.items(), key=lambda item: item[1].priority), 2
+        ):
+            action = plan.action_of[other]
+            if not plan.modes.meet(one, other):
+                continue
+            if low.priority == high.priority and (
+                plan.action_of[one].holds_when_blind(low)
+                or action.holds_when_blind(high)
+            ):
+                continue  # that is told of the one that keeps the other out
+            if low.priority == high.priority:
+                told = (
+                    f"{one!r} and {other!r} write {resource!r} with the same priority "
+                    f"({low.priority}): whoever holds it keeps the other out"
+                )
+                yield warning(
+                    "starve", action, high.attribute, told, "raise one of them"
+                )
+            elif isinstance(action, Behavior):
+                told = (
+                    f"{other!r} is no reaction, so it may write {resource!r} without "
+                    f"pause, and its priority {high.priority} is above that of {one!r} "
+                    f"({low.priority})"
+                )
+                advice = f"see that it releases {resource!r}, or lower its priority"
+                yield warning("starve", action, high.attribute, told, advice)
+
+
+def failures(plan: Plan) -> dict[str, str]:
+    """Say of each behavior and reaction what happens when it fails again and again."""
+    return {name: _failure(plan, name) for name in plan.action_of}
+
+
+def _failure(plan: Plan, name: str) -> str:
+    action, modes = plan.action_of[name], plan.modes
+    policy = action.restart
+    if not isinstance(policy, Restart):
+        return "its restart is none"  # that is told as a mistake
+    times = f"{policy.max} restart{'s' * (policy.max != 1)} in {policy.within:g} s"
+    if policy.retry is not None:
+        return f"{times}, then again every {policy.retry:g} s, for ever"
+    if action.essential:
+        return f"{times}, then the robot ends with an exit code"
+    next_ones = {
+        f"mode {modes.table[mode].on_failure} follows {mode}"
+        for mode in modes.of_behavior(name)
+        if modes.table[mode].on_failure
+    }
+    then = ", ".join(sorted(next_ones)) or "the others go on without it"
+    return f"{times}, then it is FAILED: {then}"
+
+
+def never_failed(plan: Plan) -> Iterator[Finding]:
+    """Find what ends the robot when it is FAILED, and is tried for ever instead."""
+    for action in plan.action_of.values():
+        policy = action.restart
+        if action.essential and isinstance(policy, Restart) and policy.retry:
+            told = "it is essential, and never FAILED, for restart.retry tries for ever"
+            yield mistake("declaration", action, "essential", told, "leave one out")
+
+
+def unused(plan: Plan) -> Iterator[Finding]:
+    """Find resources that no action declares to use."""
+    if "behavior" in plan.missing.values():
+        return
+    used = {need.provider for _, _, _, need in plan.needs()}
+    for derived in plan.derived_of.values():
+        used |= {need.provider for need in derived.inputs.values()}
+    for name, resource in plan.resource_of.items():
+        if name not in used and name not in plan.implied:
+            doing = "writes" if isinstance(resource, Actuator) else "reads"
+            yield warning(
+                "unused", resource, "", f"no behavior declares that it {doing} it"
+            )
+
+
+FULL: Final = 0.8
+"""The part of its time that a bus can be asked: each transfer has its gaps."""
+
+_RENUMBERED: Final = re.compile(r"/dev/tty(USB|ACM)\d+\Z")
+
+
+def claimed_twice(
+    about: Iterable[Resource], claims: Mapping[tuple[int, str], str]
+) -> Iterator[Finding]:
+    """Find the resources that claim what another one has for itself alone."""
+    for resource in about:
+        if resource.claim is None:
+            continue
+        first = claims.get((id(resource.bus), resource.claim), resource.name)
+        if first != resource.name:
+            told = f"{resource.claim} belongs to {first!r}: they cannot share it"
+            yield mistake("claim", resource, "", told)
+
+
+def odd_buses(plan: Plan) -> Iterator[Finding]:
+    """Find buses that nobody is on, and ports that are not always the same device."""
+    used = {id(each.bus) for each in plan.resource_of.values()}
+    for name, bus in _buses(plan):
+        if id(bus) not in used and not plan.missing:
+            yield warning("unused", bus, "", "no device is on it", of=name)
+        port = getattr(bus, "port", None)
+        if isinstance(port, str) and _RENUMBERED.match(port):
+            told = f"{port} may be another device after the next plugging"
+            advice = "expected the path of the same device in /dev/serial/by-id"
+            yield warning("port", bus, "port", told, advice, of=name)
+
+
+def overloaded(plan: Plan) -> Iterator[Finding]:
+    """Find buses of which their devices ask more than they have time for."""
+    for name, bus in _buses(plan):
+        of_bus = (each for each in plan.resource_of.values() if each.bus is bus)
+        cost = getattr(bus, "seconds_for", lambda _: 0.0)  # whatever is given as one
+        load = sum(_per_second(each) * cost(each.traffic) for each in of_bus)
+        if load > FULL:
+            told = f"its devices ask {load:.0%} of its time at their rates"
+            advice = "lower their rates, or give some of them another bus"
+            yield warning("load", bus, "", told, advice, of=name)
+
+
+def _per_second(resource: Resource) -> float:
+    """Return how often a device is asked in a second, or told at least."""
+    if isinstance(resource, Sensor):
+        return resource.rate if resource.can_be_asked and not resource.pushes else 0.0
+    timeout = getattr(resource, "command_timeout", None)
+    return 1.0 / timeout if timeout else 0.0
+
+
+def _buses(plan: Plan) -> list[tuple[str, Bus]]:
+    named = list(plan.buses.items())
+    known = {id(bus) for _, bus in named}
+    for resource in plan.resource_of.values():
+        if resource.bus is not None and id(resource.bus) not in known:
+            known.add(id(resource.bus))
+            named.append((str(getattr(resource.bus, "name", "bus")), resource.bus))
+    return named
 
 
 def examine(plan: Plan) -> list[Finding]:

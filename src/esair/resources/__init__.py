@@ -1,13 +1,23 @@
-"""What the hardware is: sensors, actuators, and their settings."""
+"""What the hardware is: sensors, actuators, and what can be said of them.
 
-from esair.resources._actuator import (
+A driver derives from `Sensor` or `Actuator` and writes the methods that talk to the device;
+nothing here calls them. What it declares is data: settings with types, units and limits,
+operations with parameters, a bus, a claim on it. So every layer above can ask a device what
+it is before it is opened.
+"""
+
+from esair.resources._devices import (
     APPLIED,
     HOLD,
     REFUSE,
     Actuator,
     ActuatorSettings,
+    MinimalActuator,
+    MinimalSensor,
+    Sensor,
+    SensorSettings,
+    adapt_resource,
 )
-from esair.resources._from_minimal import MinimalActuator, MinimalSensor, adapt_resource
 from esair.resources._operation import (
     Operation,
     Parameter,
@@ -22,7 +32,6 @@ from esair.resources._resource import (
     bus_kind,
     wrong_bus,
 )
-from esair.resources._sensor import Sensor, SensorSettings
 from esair.resources._setting import (
     HIDDEN,
     Setting,

@@ -31,7 +31,7 @@ from esair.messages import (
 )
 from esair.plan import Finding, refuse
 from esair.supervisors._command_queue import CommandQueue
-from esair.supervisors._ending import end
+from esair.supervisors._life import end
 from esair.supervisors._mediator import Mediator
 from esair.supervisors._member import Member
 from esair.supervisors._resource_deployment import ResourceDeployment

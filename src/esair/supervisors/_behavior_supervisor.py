@@ -19,8 +19,8 @@ from esair.supervisors._behavior_deployment import (
     name_of,
     refuse_all,
 )
-from esair.supervisors._ledger import Record
 from esair.supervisors._member import Member
+from esair.supervisors._requests import Record
 
 A = TypeVar("A")
 

@@ -17,7 +17,7 @@ from esair.connections import (
 )
 from esair.journal import Journal, Kind
 from esair.loop import Door, News, clock_of, spawn
-from esair.supervisors._rules import only_the_user
+from esair.supervisors._control_path import only_the_user
 from esair.values import printable
 
 TAKEN_WITHIN = 0.25

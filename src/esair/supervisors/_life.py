@@ -1,32 +1,36 @@
-"""What a behavior and a resource have in common: restarts, a budget, reports.
+"""What lives have in common: restarts, a budget, reports, and an end.
 
 And which errors say that something is not there (yet), rather than that it is broken.
 """
 
 from __future__ import annotations
 
+import asyncio
 import collections
 import errno
 import logging
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from esair.actions import Behavior, Reaction
 from esair.exceptions import (
+    BehaviorRemovedError,
     DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
     EsairError,
+    NotRegisteredError,
     ResourceRemovedError,
     UnknownNameError,
     describe,
 )
 from esair.journal import Journal, Kind
-from esair.loop import raisable
+from esair.loop import Owner, look_at, raisable
 from esair.messages import Restart
 
 if TYPE_CHECKING:
     from esair.placement import Seat
+
 
 _log = logging.getLogger("esair")
 
@@ -191,3 +195,58 @@ def absent_for(
     named = error.name if isinstance(error, UnknownNameError) else error.resource
     is_there = named in {need.resource for need in action.needs.values()}
     return [] if is_there and named not in missing else missing
+
+
+_SECOND = 0.04
+"""How long a task may take that has swallowed its cancellation, in seconds."""
+
+
+def living(owner: Owner) -> list[asyncio.Task[Any]]:
+    """Return the tasks of an owner that have not ended, without the one that asks."""
+    me = asyncio.current_task()
+    return [task for task in owner.living() if task is not me]
+
+
+async def until_ended(tasks: list[asyncio.Task[Any]], grace: float) -> None:
+    """Wait for tasks that were cancelled, if there are any."""
+    if tasks:
+        await asyncio.wait(tasks, timeout=grace if grace > 0 else 0.001)
+
+
+def cancel(owner: Owner) -> None:
+    """Cancel the tasks of an owner, without waiting; those that were, not again."""
+    left = owner.living()
+    for task in left:
+        if task not in owner.told:
+            task.cancel()
+    owner.told = left
+
+
+async def end(owner: Owner, grace: float) -> list[asyncio.Task[Any]]:
+    """Cancel the tasks of an owner, twice if need be; returns those that would not end.
+
+    What was cancelled before this is cleaning up: it is left alone until its grace is over.
+    """
+    told, left = owner.told, living(owner)
+    for seconds in (grace, _SECOND):
+        for task in left:
+            if task not in told:
+                task.cancel()
+        owner.told, told = left, []
+        await until_ended(left, seconds)
+        left = living(owner)
+    for task in left:
+        task.add_done_callback(look_at)
+    return left
+
+
+class UserRemovedError(BehaviorRemovedError, NotRegisteredError):
+    """A behavior that was removed uses a port of its: both is true."""
+
+    def __init__(self, behavior: str) -> None:
+        EsairError.__init__(
+            self, f"behavior {behavior!r} was removed: it is registered for nothing"
+        )
+        self.behavior = behavior
+        self.resource = ""
+        self.data = None

@@ -18,9 +18,13 @@ from esair.exceptions import (
 )
 from esair.loop import Budget, Owner, speaks_for_nobody, wake, wake_one
 from esair.messages import BehaviorState
-from esair.supervisors._ledger import Outcome
-from esair.supervisors._orders import OrderQueue
-from esair.supervisors._requests import Request, RequestQueue, ServedQueue
+from esair.supervisors._requests import (
+    OrderQueue,
+    Outcome,
+    Request,
+    RequestQueue,
+    ServedQueue,
+)
 
 if TYPE_CHECKING:
     from esair.supervisors._mediator import Mediator

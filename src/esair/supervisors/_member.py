@@ -14,10 +14,10 @@ from esair.actions import (
     ActuatorPort,
     Behavior,
     Hooks,
+    PortTerms,
     Reaction,
     ReactionRunner,
     SensorPort,
-    Terms,
     blocking,
 )
 from esair.connections import UNDECIDED, Halting, Registration, Stopped, run_ended
@@ -39,12 +39,28 @@ from esair.loop import (
     wake,
 )
 from esair.messages import BehaviorState, BehaviorStatus
-from esair.supervisors._ending import UserRemovedError, cancel, end, living, until_ended
-from esair.supervisors._grants import Grants, bind, empty, fill
-from esair.supervisors._life import Life, absent, absent_for, where
+from esair.supervisors._grants import (
+    Grants,
+    Sight,
+    Step,
+    Steps,
+    bind,
+    empty,
+    fill,
+    runner_for,
+)
+from esair.supervisors._life import (
+    Life,
+    UserRemovedError,
+    absent,
+    absent_for,
+    cancel,
+    end,
+    living,
+    until_ended,
+    where,
+)
 from esair.supervisors._mailbox import Mailbox
-from esair.supervisors._perform import Step, Steps, runner_for
-from esair.supervisors._sight import Sight
 from esair.values import check_duration
 
 if TYPE_CHECKING:
@@ -130,11 +146,11 @@ class Member:
             raise BehaviorRemovedError(self.name)
         return await self.crew.managed_by(self.name, verb, *args)
 
-    async def register(self, terms: Terms) -> SensorPort[Any] | ActuatorPort[Any]:
+    async def register(self, terms: PortTerms) -> SensorPort[Any] | ActuatorPort[Any]:
         return await self.register_for(self.grants, self._portal, terms)
 
     async def register_for(
-        self, grants: Grants, portal: Portal | None, terms: Terms
+        self, grants: Grants, portal: Portal | None, terms: PortTerms
     ) -> SensorPort[Any] | ActuatorPort[Any]:
         """Register it, or a step of it, for a resource."""
         await Budget.spend()

@@ -1,11 +1,12 @@
-"""What resources a robot has now: how each comes, goes, and is replaced."""
+"""What resources a robot has now: how each comes, goes, and is replaced; and their buses."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from esair.actions import Derived
@@ -26,9 +27,10 @@ from esair.exceptions import (
     ResourceRemovedError,
     StoppingError,
     UnknownNameError,
+    describe,
 )
 from esair.journal import Kind
-from esair.loop import now, wake
+from esair.loop import now, outside, spawn, wake
 from esair.messages import (
     NO_MODES,
     Access,
@@ -40,23 +42,68 @@ from esair.messages import (
 )
 from esair.plan import UNWATCHED, Plan, depths, when_alone
 from esair.resources import APPLIED, Actuator, Resource, Sensor
-from esair.supervisors._buses import BUS_TIMEOUT, close_buses, open_buses
 from esair.supervisors._command_queue import CommandQueue
-from esair.supervisors._control_path import ControlPath
+from esair.supervisors._control_path import ControlPath, Declared, Rules
 from esair.supervisors._opening import DerivedOpener, Opener
 from esair.supervisors._resource_life import ResourceLife
-from esair.supervisors._rules import Declared, Rules
 
 if TYPE_CHECKING:
     from esair.buses import Bus
     from esair.placement import Seat, Seats
     from esair.supervisors._watching import Armory, Watch
 
+
+BUS_TIMEOUT = 2.0  # how long a bus may take to open or to close, in seconds
+
+_log = logging.getLogger("esair")
+
+
+async def open_buses(buses: Iterable[Bus]) -> None:
+    """Open buses; one that is not there is tried again by the devices on it."""
+    await _each(buses, "open", lambda bus: bus.open(), BUS_TIMEOUT, logging.DEBUG)
+
+
+async def close_buses(
+    buses: Iterable[Bus],
+    within: float = BUS_TIMEOUT,
+    unless: Callable[[Bus], bool] = lambda _bus: False,
+) -> None:
+    """Close buses, whatever state they are in; each has so many seconds.
+
+    Whether one is to be left open is asked in the very step in which it is closed.
+    """
+
+    async def close(bus: Bus) -> None:
+        if not unless(bus):
+            await bus.close()
+
+    in_order = sorted(buses, key=lambda bus: bus.name)
+    await _each(in_order, "close", close, within, logging.WARNING)
+
+
+async def _each(
+    buses: Iterable[Bus],
+    verb: str,
+    work: Callable[[Bus], Coroutine[Any, Any, None]],
+    within: float,
+    level: int,
+) -> None:
+    async def one(bus: Bus) -> None:
+        try:
+            async with asyncio.timeout(within):
+                await outside((bus.name, f"{verb} the bus"), partial(work, bus))
+        except Exception as error:
+            _log.log(level, "bus %s: %s: %s", bus.name, verb, describe(error))
+
+    # Whatever factory of tasks the loop has.
+    loop = asyncio.get_running_loop()
+    tasks = (spawn(loop, one(bus), name="esair bus") for bus in buses)
+    await asyncio.gather(*tasks, return_exceptions=True)
+
+
 STOP_WITHIN = 1.8
 """How long a stop may take beside the grace period until all is closed, in seconds:
 less than `run` has, for what cannot be hurried."""
-
-_log = logging.getLogger("esair")
 
 
 class ResourceDeployment:

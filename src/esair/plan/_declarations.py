@@ -1,0 +1,483 @@
+"""What one component declares: is it sound, whatever the robot?
+
+Can its methods be called as they will be, are its values of the right kinds, do they fit?
+"""
+
+from __future__ import annotations
+
+import inspect
+import types
+import typing
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from esair import abc
+from esair.actions import (
+    Behavior,
+    Derived,
+    Guards,
+    MinimalReaction,
+    Need,
+    Reaction,
+    Reads,
+    Writes,
+    declared_requests,
+    is_request,
+)
+from esair.connections import CommandCheck, limits_by_field, part_of
+from esair.exceptions import BadValueError, ConfigError
+from esair.messages import Reading, Restart
+from esair.plan._finding import Finding, because, mistake, warning
+from esair.resources import (
+    HOLD,
+    Actuator,
+    Sensor,
+    settings_of,
+    wrong_bus,
+    wrong_operations,
+)
+from esair.values import check_name, hints_of, is_positive, same_type, type_name
+
+_RESOURCE = ("open", "close", "identify")
+_BEHAVIOR = ("setup", "run", "teardown", "provide")
+
+
+def wrong_signatures(
+    resource: Sensor[Any] | Actuator[Any],
+) -> Iterator[tuple[str, str]]:
+    """Yield each method of a resource that cannot be called, and what was expected."""
+    for field in _RESOURCE:
+        method = getattr(resource, field)
+        if told := _cannot(method):
+            yield field, f"expected a method without parameters: {told}"
+        elif yields(method):
+            yield field, "expected a method that does not yield"
+    changes = dict.fromkeys(settings_of(type(resource)))
+    if told := _cannot(resource.apply, **changes):
+        yield "apply", f"expected a method that takes its settings by name: {told}"
+    if isinstance(resource, Actuator):
+        if told := _cannot(resource.write, None):
+            yield "write", f"expected a method with one parameter, the command: {told}"
+        elif yields(resource.write):
+            yield "write", "expected a method that does not yield"
+        return
+    if resource.can_be_asked:
+        if told := _cannot(resource.read):
+            yield "read", f"expected a method without parameters: {told}"
+        elif yields(resource.read):
+            yield "read", "expected a method that returns one value: name it stream"
+    if resource.pushes:
+        if told := _cannot(resource.stream):
+            yield "stream", f"expected a method without parameters: {told}"
+        elif inspect.iscoroutinefunction(resource.stream):
+            yield "stream", "expected a method that yields its values"
+
+
+def wrong_methods(behavior: Behavior) -> Iterator[tuple[str, str]]:
+    """Yield each method of a behavior that cannot be called, and what was expected."""
+    for field in _BEHAVIOR:
+        method = getattr(behavior, field)
+        if getattr(type(behavior), field) is getattr(Behavior, field):
+            continue
+        if told := _cannot(method):
+            yield field, f"expected a method without parameters: {told}"
+        elif yields(method):
+            yield field, "expected a method that does not yield"
+
+
+def wrong_react(reaction: Reaction) -> Iterator[str]:
+    """Yield what is wrong with ``react``: its kind, its parameters, their types."""
+    if getattr(reaction.react, "__func__", None) is Reaction.react:
+        yield "a reaction must have a react method"
+    else:
+        kind = "readings and the command" if reaction.guarded else "readings"
+        yield from _wrong_step(reaction.react, _given(reaction), kind)
+
+
+def wrong_compute(derived: Derived[Any]) -> Iterator[str]:
+    """Yield what is wrong with ``compute``: its kind, its parameters, their types."""
+    if getattr(derived.compute, "__func__", None) is Derived.compute:
+        yield "a derived sensor must have a compute method"
+        return
+    wrong = list(_wrong_step(derived.compute, derived.inputs, "readings"))
+    yield from wrong or _mistyped(derived.compute, derived.inputs)
+
+
+def _wrong_step(
+    step: Callable[..., Any], given: Mapping[str, Need], kind: str
+) -> Iterator[str]:
+    if inspect.iscoroutinefunction(step):
+        yield "expected a plain function, not async"
+    elif yields(step):
+        yield "expected a plain function that does not yield"
+    elif told := _cannot(step, **dict.fromkeys(given)):
+        names = ", ".join(given) or "none"
+        yield f"its parameters must be its {kind} ({names}): {told}"
+
+
+def wrong_blind(guard: Reaction, port: str) -> str | None:
+    """Say what is wrong with the ``blind`` of a guard."""
+    if inspect.iscoroutinefunction(guard.blind):
+        return "expected a plain function"
+    if told := _cannot(guard.blind, **{port: None}):
+        return f"its parameter must be the command ({port}): {told}"
+    return None
+
+
+def _given(reaction: Reaction) -> dict[str, Need]:
+    """Return the ports that give ``react`` its parameters."""
+    return {
+        name: need
+        for name, need in reaction.needs.items()
+        if not isinstance(need, Writes)
+    }
+
+
+def wrong_types(reaction: Reaction) -> Iterator[str]:
+    """Yield each annotated parameter of ``react`` that its port does not fit."""
+    if isinstance(reaction, MinimalReaction):
+        return  # its types are for readers only
+    yield from _mistyped(reaction.react, _given(reaction))
+
+
+def _mistyped(step: Callable[..., Any], given: Mapping[str, Need]) -> Iterator[str]:
+    hints = hints_of(inspect.unwrap(step))
+    for name, need in given.items():
+        hint = hints.get(name, Any)
+        if typing.get_origin(hint) is typing.Annotated:
+            hint = typing.get_args(hint)[0]
+        if not same_type(need.type, _value_of(hint)):
+            doing = "reads" if isinstance(need, Reads) else "guards"
+            yield (
+                f"its parameter {name!r} is a {_text(hint)}, but the port {name!r} "
+                f"{doing} {type_name(need.type)}: annotate it as {type_name(need.type)}"
+            )
+
+
+def _value_of(hint: Any) -> Any:
+    """Return the type of the value in ``T | None``, or ``Reading[T]``."""
+    if typing.get_origin(hint) in {typing.Union, types.UnionType}:
+        parts = tuple(_value_of(part) for part in typing.get_args(hint))
+        return typing.Union[parts]  # noqa: UP007 - the parts are known now only
+    if typing.get_origin(hint) is Reading:
+        return typing.get_args(hint)[0]
+    return Any if hint is Reading or isinstance(hint, typing.TypeVar) else hint
+
+
+def _text(hint: Any) -> str:
+    return type_name(hint) if inspect.isclass(hint) else str(hint).replace("esair.", "")
+
+
+def yields(method: Callable[..., Any]) -> bool:
+    """Tell whether a method is a generator, and so would do nothing when called."""
+    return inspect.isgeneratorfunction(method) or inspect.isasyncgenfunction(method)
+
+
+def _cannot(method: Callable[..., Any], *values: object, **named: object) -> str | None:
+    """Say why a method cannot be called so; None if it can, or if nobody knows."""
+    try:
+        signature = inspect.signature(method)
+    except ValueError:  # of a class written in C, say
+        return None
+    except TypeError as error:
+        return str(error)
+    try:
+        signature.bind(*values, **named)
+    except TypeError as error:
+        return str(error)
+    return None
+
+
+_FASTEST = 100_000.0  # The highest rate of a reaction, in Hz
+
+
+def mistakes_in_action(action: Behavior | Reaction) -> Iterator[Finding]:
+    """Find what is wrong with the class of an action, or with its values."""
+    for field, told in _in_action(action):
+        yield mistake("declaration", action, field, told)
+    for error in mistakes_in_requests(action):
+        yield because("declaration", action, error)
+
+
+def mistyped(reaction: Reaction) -> Iterator[Finding]:
+    """Find parameters of ``react`` whose annotations do not fit the ports."""
+    for told in wrong_types(reaction):
+        yield mistake("declaration", reaction, "react", told)
+
+
+def _in_action(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:
+    yield from _in_needs(action)
+    if isinstance(action, Reaction):
+        yield from _in_reaction(action)
+    else:
+        yield from _in_boxes(action)
+        yield from wrong_methods(action)
+    if not isinstance(action.restart, Restart):
+        yield "restart", "expected an esair.Restart"
+
+
+def _in_needs(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:
+    for attribute, need in action.needs.items():
+        yield from wrong_port(attribute, need)
+        if isinstance(need, Guards) and isinstance(action, Behavior):
+            yield attribute, "only a reaction guards: make one of it"
+        if isinstance(need, Reads) and need.every and isinstance(action, Behavior):
+            told = "only a reaction runs on every reading; here the newest wins"
+            yield f"{attribute}.every", told
+        if isinstance(need, Writes) and need.blind not in {None, "safe", "release"}:
+            told = f"expected 'safe' or 'release', not {need.blind!r:.80}"
+            yield f"{attribute}.blind", told
+        if not isinstance(need, Reads) and type(need.priority) is not int:
+            told = f"expected a whole number, not {need.priority!r:.80}"
+            yield f"{attribute}.priority", told
+
+
+def wrong_port(attribute: str, need: Need) -> Iterator[tuple[str, str]]:
+    """Yield each field of a declared port that is wrong, and what was expected."""
+    try:
+        check_name("resource", need.provider)
+    except ConfigError as error:
+        yield attribute, str(error)
+    if need.type is None or isinstance(need.type, str | bytes | int | float):
+        yield (
+            attribute,
+            f"expected a type such as float, not {need.type!r:.80} "
+            "(a name is given by name=)",
+        )
+    for field in ("max_age", "hold"):
+        seconds = getattr(need, field, None)
+        if seconds is not None and not is_positive(seconds):
+            told = f"expected seconds > 0, not {seconds!r:.80}"
+            yield f"{attribute}.{field}", told
+    for field in ("configure", "every", "optional", "latch"):
+        if type(flag := getattr(need, field, False)) is not bool:
+            told = f"expected True or False, not {flag!r:.80}"
+            yield f"{attribute}.{field}", told
+
+
+def _in_reaction(reaction: Reaction) -> Iterator[tuple[str, str]]:
+    rate, budget, limit = reaction.rate, reaction.budget, reaction.overrun_limit
+    if rate is not None and not (is_positive(rate) and rate <= _FASTEST):
+        yield "rate", f"expected Hz > 0, not {rate!r:.80}"
+    if budget is not None and not is_positive(budget):
+        yield "budget", f"expected seconds > 0, not {budget!r:.80}"
+    if limit is not None and (type(limit) is not int or limit < 0):
+        yield "overrun_limit", f"expected a whole number, not {limit!r:.80}"
+    mute_limit = reaction.mute_limit
+    if mute_limit != 0 and not is_positive(mute_limit):
+        yield "mute_limit", f"expected seconds >= 0, not {mute_limit!r:.80}"
+    guards = [key for key, need in reaction.needs.items() if isinstance(need, Guards)]
+    if len(guards) > 1 or (guards and reaction.outputs):
+        others = ", ".join([*guards[1:], *reaction.outputs])
+        told = "a guard guards one actuator and writes none"
+        yield guards[0], f"{told}: make {others} part of another reaction"
+    if rate is None and not reaction.inputs and not guards:
+        yield "rate", "it reads no sensor, so it needs a rate (Hz) to run at"
+    for told in wrong_react(reaction):
+        yield "react", told
+    if guards and (wrong := wrong_blind(reaction, guards[0])):
+        yield "blind", wrong
+
+
+def _in_boxes(behavior: Behavior) -> Iterator[tuple[str, str]]:
+    for field in ("inbox_size", "outbox_size"):
+        value = getattr(behavior, field)
+        if type(value) is not int or value < 1:
+            yield field, f"expected a whole number > 0, not {value!r}"
+    for field in ("inbox_policy", "outbox_policy"):
+        value = getattr(behavior, field)
+        if value not in {"reject", "drop_oldest", "latest"}:
+            told = f"expected 'reject', 'drop_oldest' or 'latest', not {value!r}"
+            yield field, told
+
+
+def mistakes_in_requests(action: abc.Action) -> list[ConfigError]:
+    """Return what is wrong with the requests that an action takes."""
+    found: list[ConfigError] = []
+    by_type: dict[Any, str] = {}
+    for attribute, each in declared_requests(type(action)).items():
+        if isinstance(action, Reaction):
+            message = "only a behavior takes requests"
+        elif isinstance(each, str):
+            message = each
+        elif not is_request(each.type):
+            message = (
+                f"expected a class derived from esair.Request, not {each.type!r:.80}"
+            )
+        elif type(each.queue) is not int or each.queue < 1:
+            message = f"expected a queue of 1 or more, not {each.queue!r:.80}"
+        elif type(each.newest) is not bool:
+            message = f"expected newest=True or False, not {each.newest!r:.80}"
+        elif each.type in by_type:
+            message = f"{each.type.__name__} is taken by {by_type[each.type]!r} already"
+        else:
+            by_type[each.type] = attribute
+            continue
+        found.append(ConfigError(action.name, attribute, message))
+    return found
+
+
+def wrong_derived(derived: Derived[Any]) -> Iterator[tuple[str, str]]:
+    """Yield each field of a derived sensor that is wrong, and what was expected."""
+    for attribute, need in derived.inputs.items():
+        yield from wrong_port(attribute, need)
+        if need.configure:
+            told = "what is computed of a sensor does not change its settings"
+            yield f"{attribute}.configure", told
+    if not derived.inputs:
+        yield "", "it is computed of nothing: declare what with esair.reads"
+    if derived.can_be_asked or derived.pushes or hasattr(derived, "initial"):
+        told = "a derived sensor has no read, stream or initial value: write compute"
+        yield "compute", told
+    if derived.bus is not None:
+        yield "bus", "it is computed, and is on no bus"
+    if inspect.iscoroutinefunction(derived.open):
+        yield "open", "expected a plain function, not async"
+    if derived.budget is not None and not is_positive(derived.budget):
+        yield "budget", f"expected seconds > 0, not {derived.budget!r:.80}"
+    for name in derived.operations:
+        if not inspect.iscoroutinefunction(getattr(derived, name)):
+            told = "expected async def: a thread would meet compute at work"
+            yield name, told
+    for told in wrong_compute(derived):
+        yield "compute", told
+
+
+def mistakes_in_resource(resource: Sensor[Any] | Actuator[Any]) -> Iterator[Finding]:
+    """Find what is wrong with the class of a resource, or with its values."""
+
+    def wrong(field: str, told: str) -> Finding:
+        return mistake("declaration", resource, field, told)
+
+    for field, told in (*_in_plain(resource), *_in_limits(resource)):
+        yield wrong(field, told)
+    if resource.identity is not None and not resource.identifies:
+        yield wrong("identity", "its class has no identify to compare it with")
+    if wrong_one := wrong_bus(type(resource), resource.bus):
+        yield wrong("bus", wrong_one)
+    if isinstance(resource, Actuator):
+        for field, told in _in_actuator(resource):
+            yield wrong(field, told)
+        if getattr(resource.write, "__func__", None) is Actuator.write:
+            yield wrong("write", "an actuator must have a write method")
+    else:
+        if isinstance(resource, Derived):
+            for field, told in wrong_derived(resource):
+                yield wrong(field, told)
+        elif not (resource.can_be_asked or resource.pushes):
+            yield wrong("read", "a sensor must have a read or stream method")
+    for field, told in wrong_signatures(resource):
+        yield wrong(field, told)
+    for field, told in wrong_operations(type(resource)):
+        yield wrong(field, told)
+    if isinstance(resource, Actuator):
+        for name, each in resource.operations.items():
+            limit = resource.deadline if each.deadline is None else each.deadline
+            if blocks_safe(resource, name, limit):
+                told = (
+                    f"it blocks its thread for up to {limit:g} s, and the safe "
+                    "command waits behind it"
+                )
+                advice = (
+                    "write it as async def, or let it only begin what the device does"
+                )
+                yield warning("time", resource, name, told, advice)
+
+
+def blocks_safe(actuator: Actuator[Any], operation: str, limit: object) -> bool:
+    """Tell whether an operation keeps the safe command waiting for too long."""
+    plain = not inspect.iscoroutinefunction(getattr(actuator, operation))
+    if not (plain and actuator.blocking):
+        return False
+    return is_positive(limit) and float(str(limit)) > actuator.deadline
+
+
+def _in_actuator(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
+    if not hasattr(actuator, "safe"):
+        yield "safe", "an actuator must declare its safe command: safe = ..."
+        return
+    wrong_slew = [*_in_slew(actuator)]
+    yield from wrong_slew
+    if (
+        actuator.safe is HOLD
+        or wrong_slew
+        or any(_in_plain(actuator))
+        or any(_in_limits(actuator))
+    ):
+        return
+    field = "safe"
+    try:
+        check = CommandCheck(actuator)
+        safe = check.checked(actuator.safe)
+        field = "slew"
+        check.slewed(safe, actuator.safe, 1.0)
+    except (BadValueError, TypeError) as error:
+        yield field, f"does not fit: {error}"
+
+
+def _in_slew(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
+    for field, slew in limits_by_field(actuator.slew).items():
+        if not is_positive(slew):
+            told = f"expected a change per second > 0, not {slew!r:.80}"
+            yield f"slew.{field}".rstrip("."), told
+
+
+def _in_plain(resource: Sensor[Any] | Actuator[Any]) -> Iterator[tuple[str, str]]:
+    for wanted, is_one, fields in _PLAIN:
+        for field in fields.split():
+            value = getattr(resource, field, _NONE_HERE)
+            if value is not _NONE_HERE and not is_one(value):
+                yield field, f"expected {wanted}, not {value!r:.80}"
+
+
+_NONE_HERE = object()
+
+
+def _is_count(value: object) -> bool:
+    return type(value) is int and value > 0
+
+
+_PLAIN: tuple[tuple[str, Callable[[object], bool], str], ...] = (
+    ("seconds > 0", is_positive, "deadline set_up_period command_timeout"),
+    (
+        "seconds > 0 or None",
+        lambda value: value is None or is_positive(value),
+        "own_timeout period",
+    ),
+    ("a whole number > 0", _is_count, "fault_limit history_size"),
+    (
+        "a whole number > 0",
+        lambda value: value is None or _is_count(value),
+        "max_repeat",
+    ),
+    (
+        "True or False",
+        lambda value: type(value) is bool,
+        "required blocking clamp safe_moves",
+    ),
+)
+"""What a class, or one of its objects, may say wrongly: the test, the fields."""
+
+
+def _in_limits(resource: Sensor[Any] | Actuator[Any]) -> Iterator[tuple[str, str]]:
+    safe = getattr(resource, "safe", HOLD)
+    for field, bounds in limits_by_field(resource.limits).items():
+        try:
+            part = None if safe is HOLD else part_of(safe, field)
+        except (AttributeError, LookupError):
+            yield f"limits.{field}", f"{safe!r:.80} has no such field"
+            continue
+        try:
+            low, high = bounds
+            told = "" if low <= high else f"not {bounds!r:.80}"
+        except (TypeError, ValueError):
+            told = f"not {bounds!r:.80}"
+        if told:
+            yield f"limits.{field}".rstrip("."), f"expected (least, greatest), {told}"
+            continue
+        try:
+            if part is not None and not low <= part <= high:
+                yield "safe", f"{safe!r} is outside the limits"
+        except TypeError:
+            told = f"expected a pair for each field of {part!r:.80}, not {bounds!r:.80}"
+            yield f"limits.{field}".rstrip("."), told
