@@ -60,6 +60,7 @@ def test_one_more_call_shows_and_the_rest_repeats() -> None:
     assert other.calls > first.calls + 1
 
 
+@pytest.mark.long
 def test_a_change_fails_with_its_numbers_and_the_command_that_accepts_it(
     tmp_path: Path,
 ) -> None:

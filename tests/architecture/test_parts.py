@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import ctypes
+import functools
 import importlib
 import inspect
 import pkgutil
@@ -33,13 +34,30 @@ def classes() -> Iterator[type]:
                     yield each
 
 
+@functools.cache
+def classes_in(module: str) -> dict[str, ast.ClassDef]:
+    """Return the text of each class of a module, by its name; of equal ones the last."""
+    tree = ast.parse(inspect.getsource(importlib.import_module(module)))
+    return {
+        each.name: each for each in ast.walk(tree) if isinstance(each, ast.ClassDef)
+    }
+
+
+def source_of(cls: type) -> ast.ClassDef:
+    """Return the text of a class, also of one that is no part of a module."""
+    if "<locals>" not in cls.__qualname__:
+        return classes_in(cls.__module__)[cls.__name__]
+    (tree,) = ast.parse(inspect.cleandoc("\n" + inspect.getsource(cls))).body
+    assert isinstance(tree, ast.ClassDef)
+    return tree
+
+
 def own_fields(cls: type) -> set[str]:
     """Return what a class itself gives its instances: declared, in slots, or set."""
     slots: Any = vars(cls).get("__slots__", ())
     found = {slots} if isinstance(slots, str) else set(slots)
     found |= vars(cls).get("__annotations__", {}).keys()
-    (tree,) = ast.parse(inspect.cleandoc("\n" + inspect.getsource(cls))).body
-    for node in ast.walk(tree):
+    for node in ast.walk(source_of(cls)):
         match node:
             case ast.Attribute(ast.Name("self"), name, ast.Store()):
                 found.add(name)

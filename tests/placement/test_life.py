@@ -141,6 +141,7 @@ async def test_a_get_is_answered_from_a_process() -> None:
 
 
 DEATHS = ["kill", "segfault", "exit", "abort"]
+LONG_STOP = pytest.param("stop", marks=pytest.mark.long)
 
 
 @pytest.mark.promise("PLC-3", "PLC-4")
@@ -169,7 +170,7 @@ async def test_the_death_of_a_behavior_is_a_crash(fault: str) -> None:
 
 @pytest.mark.promise("PLC-3")
 @pytest.mark.fault("B07")
-@pytest.mark.parametrize("fault", ["hang", "stop"])
+@pytest.mark.parametrize("fault", ["hang", LONG_STOP])
 async def test_a_behavior_that_hangs_is_killed(fault: str) -> None:
     """The dead man stops what it moves; after `stall` it is killed, and started again."""
     wheels = fake_wheels(timeout=0.2)
@@ -207,7 +208,7 @@ async def test_a_reaction_that_dies_is_blind(fault: str) -> None:
 
 
 @pytest.mark.promise("PLC-2")
-@pytest.mark.parametrize("fault", ["hang", "stop"])
+@pytest.mark.parametrize("fault", ["hang", LONG_STOP])
 async def test_a_reaction_that_owes_an_answer_is_blind(fault: str) -> None:
     """Its last word was "no opinion": after `command_timeout` nobody drives on by it."""
     wheels, sonar = fake_wheels(timeout=0.3), FakeSensor("sonar", 1.0)
@@ -229,7 +230,7 @@ async def test_a_reaction_that_owes_an_answer_is_blind(fault: str) -> None:
 
 @pytest.mark.promise("PLC-3")
 @pytest.mark.fault("D01")
-@pytest.mark.parametrize("fault", [*DEATHS, "hang", "stop"])
+@pytest.mark.parametrize("fault", [*DEATHS, "hang", LONG_STOP])
 async def test_a_driver_that_dies_or_hangs_is_lost_and_back(fault: str) -> None:
     """The device is LOST, and opened again in a new process."""
     sonar = Sonar(fault=fault, at=5, rate=50.0)

@@ -153,6 +153,7 @@ async def test_a_recording_without_its_end_says_so(tmp_path, capsys):
     assert "it has no end: what came last may be missing" in told
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 def test_a_run_whose_end_was_dropped_is_repeated_up_to_there(tmp_path, monkeypatch):
     """What was not recorded is no difference, and it is said how much that is."""

@@ -147,6 +147,7 @@ asyncio.run(main())
 """
 
 
+@pytest.mark.long
 @pytest.mark.promise("REC-3")
 @pytest.mark.real_clock
 def test_after_a_kill_all_but_half_a_second_is_there(

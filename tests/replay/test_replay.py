@@ -345,6 +345,7 @@ def test_a_check_runs_and_makes_nothing(tmp_path: Path) -> None:
     assert {*sys.modules} == before
 
 
+@pytest.mark.long
 @pytest.mark.promise("REP-3")
 def test_the_command_names_them(tmp_path: Path) -> None:
     """``--check`` runs nothing, and its exit code says whether there is any."""

@@ -119,7 +119,17 @@ def way_in(request, tmp_path_factory):
 
 @pytest.mark.promise("SEC-1")
 @pytest.mark.fault("H08")
-@pytest.mark.parametrize("half", HALVES)
+@pytest.mark.parametrize(
+    "half",
+    [
+        "half a head",
+        *(
+            pytest.param(h, marks=pytest.mark.long)
+            for h in HALVES
+            if h != "half a head"
+        ),
+    ],
+)
 async def test_half_requests_lock_nobody_out(served, way_in, half):
     """Eighty of them, or three hundred: the next one has its answer all the same."""
     page, context = way_in
@@ -682,6 +692,7 @@ class Long(esair.Sensor[str]):
 SIZES = [(320, 568), (390, 844), (1280, 800)]
 
 
+@pytest.mark.long
 @pytest.mark.promise("OPS-5")
 @pytest.mark.parametrize("size", SIZES)
 async def test_the_page_fits_where_it_is_looked_at(served, chromium, size):
@@ -739,6 +750,7 @@ async def test_the_page_fits_where_it_is_looked_at(served, chromium, size):
     await person.has_window(1000, 1100)
 
 
+@pytest.mark.long
 @pytest.mark.promise("OPS-5")
 async def test_what_is_driven_is_no_accident_of_names(served, chromium, fake_actuator):
     """The one that steers; if there are several it is asked, and what is chosen stays."""
@@ -777,6 +789,7 @@ async def test_what_is_driven_is_no_accident_of_names(served, chromium, fake_act
         assert not any(arm.commands)
 
 
+@pytest.mark.long
 @pytest.mark.promise("SEC-1")
 async def test_a_browser_without_the_token_is_asked_for_it(served, chromium):
     """It leaves the address bar; the whole address may be pasted, too."""
@@ -881,6 +894,7 @@ async def test_operations_and_settings_in_a_browser(served, chromium):
         assert valve.flow == 2.5
 
 
+@pytest.mark.long
 @pytest.mark.promise("OPS-5")
 async def test_it_is_grey_while_the_loop_is_blocked(served, chromium):
     """Within 1 s; and live again when the loop turns again."""
@@ -910,6 +924,7 @@ async def test_it_is_grey_while_the_loop_is_blocked(served, chromium):
         assert not await person.sees_grey()
 
 
+@pytest.mark.long
 @pytest.mark.promise("OPS-5", "OPS-4")
 @pytest.mark.fault("H14")
 async def test_a_frozen_tab_and_a_killed_one_release_the_wheels(served, chromium):

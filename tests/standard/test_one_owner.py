@@ -29,6 +29,7 @@ def whole_process() -> tuple[Any, ...]:
     )
 
 
+@pytest.mark.long
 @pytest.mark.promise("ROB-5")
 async def test_robots_that_overlap_leave_nothing_behind(request: Any) -> None:
     """Rolling restarts: each starts before the one before it ends."""

@@ -28,7 +28,7 @@ from esair.supervisors import Outcome
 from esair.testing import FakeActuator, FakeSensor, VirtualLoop
 
 NAMES = st.sampled_from(["a", "b", "c"])
-EXAMPLES, LONG_EXAMPLES, STEPS = 40, 120, 40
+EXAMPLES, LONG_EXAMPLES, STEPS = 25, 120, 40
 SOAK_EXAMPLES, SOAK_STEPS = 5_000, 60
 SAFE = 0.0
 GRACE = 0.3

@@ -32,6 +32,7 @@ def told() -> list[Fix]:
     return [fix for fix in fixes if fix is not None]
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.fault("D09", "D10")
 async def test_a_log_at_full_speed() -> None:

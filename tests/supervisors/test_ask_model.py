@@ -25,7 +25,7 @@ import esair
 from esair.supervisors import Outcome
 from esair.testing import VirtualLoop
 
-EXAMPLES, LONG_EXAMPLES, STEPS = 50, 200, 40
+EXAMPLES, LONG_EXAMPLES, STEPS = 25, 200, 40
 SOAK_EXAMPLES, SOAK_STEPS = 10_000, 50
 PENDING = 12
 

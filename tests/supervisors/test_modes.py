@@ -19,7 +19,7 @@ from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = [pytest.mark.virtual_clock]
 
-HISTORIES, LONG_HISTORIES, SOAK_HISTORIES = 60, 300, 2_000
+HISTORIES, LONG_HISTORIES, SOAK_HISTORIES = 30, 300, 2_000
 RESTING, RUNNING = BehaviorState.RESTING, BehaviorState.RUNNING
 MAY = esair.Policy.behaviors(allow={"captain": "manage"})
 

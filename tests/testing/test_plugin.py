@@ -109,7 +109,11 @@ LEAKS = {
 @pytest.mark.parametrize(
     ("what", "scope"),
     [("task", scope) for scope in SCOPES]
-    + [(what, scope) for what in ("thread", "descriptor") for scope in SCOPES[::4]],
+    + [
+        pytest.param(what, scope, marks=pytest.mark.long)  # it is given seconds to end
+        for what in ("thread", "descriptor")
+        for scope in SCOPES[::4]
+    ],
 )
 def test_what_a_test_leaves_behind_fails_it(outcomes, what, scope) -> None:
     """Its neighbors, which clean up, pass; also where they share an event loop."""

@@ -133,6 +133,7 @@ def test_losses_and_faults_come_again(path: Path) -> None:
     assert any(away[0] < time < away[1] for time in stopped)
 
 
+@pytest.mark.long
 @pytest.mark.promise("REP-1")
 @pytest.mark.real_clock
 def test_faults_may_be_laid_over_it(path: Path) -> None:

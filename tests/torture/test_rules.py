@@ -305,6 +305,7 @@ print(*violation.key, violation.text)
 """
 
 
+@pytest.mark.long
 def test_what_holds_the_loop_is_ended_and_named(tmp_path: Path) -> None:
     """Virtual time stands still for ever: real time does not; in any folder."""
     folder = tmp_path / "esair" / "lib" / "python"

@@ -121,7 +121,7 @@ def test_any_order_of_components_gives_the_same(request: pytest.FixtureRequest) 
     """Random wirings, in several orders, with threads that take any time."""
     soak = request.config.getoption("--esair-soak")
     differ = []
-    for seed in range(1000, 1300 if soak else 1004):
+    for seed in range(1000, 1300 if soak else 1002):
         told = worlds.play(seed)
         orders = (random.Random(order) for order in range(3))
         if any(worlds.play(seed, order) != told for order in orders):

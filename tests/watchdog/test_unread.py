@@ -42,7 +42,14 @@ def unread() -> Iterator[int]:
 @pytest.mark.longer
 @pytest.mark.parametrize("log", ["warnings", "all"])
 @pytest.mark.parametrize(
-    "way", ["dog", "guard", "lost", "halt", "stop", "crash", "term"]
+    "way",
+    [
+        *("dog", "lost", "term"),
+        *(
+            pytest.param(w, marks=pytest.mark.long)
+            for w in ("guard", "halt", "stop", "crash")
+        ),
+    ],
 )
 def test_it_is_safe_though_nobody_reads_its_log(
     way: str, log: str, unread: int, request: pytest.FixtureRequest
