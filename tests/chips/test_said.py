@@ -26,12 +26,14 @@ def i32(value):
         raise OverflowError
     return value
 R = 1.5
+"""
 
-class R0(Reaction):
+REACTION = """
+class R{number}(Reaction):
     x = reads(float)
     k = reads(int)
-    out = writes(float)
-    count = writes(int)
+    out = writes(float, name="out{number}")
+    count = writes(int, name="count{number}")
     int = 0.5
     auto = 3
     maybe = None
@@ -40,6 +42,9 @@ class R0(Reaction):
     def put(self, digit):
         self.log = i32(i32(self.log * 10) + digit)
         return digit
+
+    place = 0
+    def react(self, k, x):
 """
 
 NUMBERS = [0.0, -0.0, 1.0, -1.0, 0.5, 1.5, 2.5, -2.5, 1e308, -7.3, 3e-320, 2147483646.5]
@@ -101,42 +106,50 @@ CASES = {
 }
 
 
-@pytest.fixture(scope="module")
-def said(tmp_path_factory) -> Any:
-    """All of them in one robot each, compiled with the sanitizers."""
+JOURNAL: list[Any] = [
+    ([x, k], [True] * 2 * len(CASES)) for x in NUMBERS for k in (3, -7)
+]
+JOURNAL += [([0.5, k], [True] * 2 * len(CASES)) for k in WHOLE]
 
-    def play(body: str, journal: list[Any], *flags: str) -> tuple[Any, Any]:
-        folder = tmp_path_factory.mktemp("said")
-        text = (
-            HEAD
-            + "    place = 0\n    def react(self, k, x):\n"
-            + textwrap.indent(body, " " * 8)
+
+@pytest.fixture(scope="module")
+def said(tmp_path_factory) -> tuple[list[Any], list[Any]]:
+    """What MIN and C say, with all of the cases in one robot."""
+    folder = tmp_path_factory.mktemp("said")
+    text = HEAD + "".join(
+        REACTION.format(number=number) + textwrap.indent(body, " " * 8) + "\n"
+        for number, body in enumerate(CASES.values())
+    )
+
+    def wired(name: str, text: str) -> robots.Robot:
+        module = robots.imported(text, folder / f"{name}.py")
+        numbers = range(len(CASES))
+        return robots.Robot(
+            [getattr(module, f"R{n}")(f"r{n}") for n in numbers],
+            [robots.Given("x", 0.5), robots.Given("k", 1)],
+            [robots.Told(f"out{n}", 0.0) for n in numbers]
+            + [robots.Told(f"count{n}", 0) for n in numbers],
         )
 
-        def wired(name: str, text: str) -> robots.Robot:
-            module = robots.imported(text, folder / f"{name}.py")
-            return robots.Robot(
-                [module.R0("r")],
-                [robots.Given("x", 0.5), robots.Given("k", 1)],
-                [robots.Told("out", 0.0), robots.Told("count", 0)],
-            )
-
-        robot = wired("user", written.plain(text))
-        program = robots.in_c(robot, folder, *flags)
-        checked = wired("checked", text)
-        return robots.run_min(checked, journal), robots.run_c(robot, program, journal)
-
-    return play
+    robot = wired("user", written.plain(text))
+    program = robots.in_c(robot, folder)
+    checked = wired("checked", text)
+    return robots.run_min(checked, JOURNAL), robots.run_c(robot, program, JOURNAL)
 
 
-@pytest.mark.parametrize("what", CASES)
-def test_it_means_the_same(said, what) -> None:
-    """To the bit, and a fault where MIN has one, or where 32 bits do not hold it."""
-    journal = [([x, k], [True, True]) for x in NUMBERS for k in (3, -7)]
-    journal += [([0.5, k], [True, True]) for k in WHOLE]
-    expected, there = said(CASES[what], journal)
-
-    assert there == expected
+@pytest.mark.parametrize("number", range(len(CASES)), ids=list(CASES))
+def test_it_means_the_same(said, number) -> None:
+    """To the bit, at its step, and safe where MIN has a fault or 32 bits do not hold it."""
+    expected, there = (
+        [
+            each
+            for each in told
+            if each[0] in {f"out{number}", f"count{number}"} or len(each) == 3
+        ]
+        for told in said
+    )
+    assert len(expected) > len(JOURNAL)
+    assert there == expected  # with the faults of each step
 
 
 AGES = """

@@ -89,15 +89,20 @@ def differing(seeds: range, worlds: int, folder: Path, *flags: str) -> dict[Any,
     return found
 
 
+@pytest.mark.longer
 def test_written_at_random_to_the_bit(tmp_path, request) -> None:
     """Whatever is said with what can be translated; also each fault, at its step."""
     seed = random.randrange(2**31) if request.config.getoption("--esair-soak") else 20
-    assert differing(range(seed, seed + 6), 8, tmp_path, "-O1") == {}
+    many = 6 if request.config.getoption("--esair-long") else 2
+    assert differing(range(seed, seed + many), 8, tmp_path) == {}
 
 
-def test_nothing_undefined(tmp_path) -> None:
+@pytest.mark.longer
+def test_nothing_undefined(tmp_path, request) -> None:
     """No overflow, no wild shift, no step over the end of a row."""
-    assert differing(range(300, 303), 8, tmp_path, "-O1", *robots.SANITIZED) == {}
+    many = 6 if request.config.getoption("--esair-long") else 1
+    seeds = range(301, 301 + many)
+    assert differing(seeds, 8, tmp_path, *robots.SANITIZED) == {}
 
 
 @pytest.mark.soak
@@ -174,11 +179,12 @@ def near(one: Any, other: Any) -> bool:
     return True
 
 
+@pytest.mark.longer
 def test_natural_wiring(tmp_path, request) -> None:
     """Rates beside none, guards, holds, several actuators: to the bit, and in float."""
     seed = random.randrange(2**31) if request.config.getoption("--esair-soak") else 3
     rng = random.Random(seed)
-    for number in range(12):
+    for number in range(12 if request.config.getoption("--esair-long") else 2):
         robot, journal = natural_robot(make_world(rng))
         double = robots.in_c(robot, tmp_path / f"d{number}")
         single = robots.in_c(robot, tmp_path / f"f{number}", "-DROBOT_FLOAT")

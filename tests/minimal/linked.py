@@ -1,7 +1,10 @@
 """A robot on a board: its files, and a MicroPython that runs it on a cable."""
 
+import atexit
+import functools
 import shutil
 import sys
+import tempfile
 import textwrap
 from pathlib import Path
 from typing import Any
@@ -107,7 +110,17 @@ class Plugged:
 def built(folder: Path, **options: Any) -> Path:
     """Build the robot; the options are those of `firmware.build`."""
     sys.modules.pop("linked_parts", None)  # of another test
+    once = _built_once(tuple(options.items()))
+    sys.modules.pop("linked_parts", None)
+    shutil.copytree(once, folder, dirs_exist_ok=True)
+    return folder / "built"
+
+
+@functools.cache
+def _built_once(options: tuple[tuple[str, Any], ...]) -> Path:
+    folder = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
     (folder / "linked_parts.py").write_text(textwrap.dedent(PARTS))
     (folder / "base.toml").write_text(ROBOT)
-    firmware.build(folder / "base.toml", folder / "built", rate=50, **options)
-    return folder / "built"
+    firmware.build(folder / "base.toml", folder / "built", rate=50, **dict(options))
+    return folder

@@ -508,6 +508,20 @@ def test_a_built_folder_runs(micropython, tmp_path, capfd) -> None:
     assert "10 steps, 0 commands refused" in shown
 
 
+def test_what_sleeps_is_tried_by_a_clock_that_jumps(micropython, tmp_path) -> None:
+    """Nobody waits for a second that a part sleeps; the program sees it pass, and is late."""
+    path = simple(tmp_path)
+    slept = "import time\n        a = time.ticks_ms()\n        time.sleep(1)\n"
+    slept += "        assert 1000 <= time.ticks_diff(time.ticks_ms(), a) < 2000\n"
+    parts = tmp_path / "simple_parts.py"
+    parts.write_text(SIMPLE.replace("return 0.25", f"{slept}        return 0.25"))
+    trial = firmware.build(path, tmp_path / "board").trial
+
+    assert trial is not None
+    assert (trial.steps, trial.mistakes) == (50, ())
+    assert trial.late >= 50 * 49
+
+
 def pins_of(folder: Path, text: str, **options) -> str:
     path = folder / "robot.toml"
     path.write_text(text)

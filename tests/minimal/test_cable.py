@@ -122,15 +122,24 @@ def test_a_deploy_that_is_cut_leaves_no_mixture(tmp_path, monkeypatch, soak) -> 
     assert len(seen) > 1
 
 
-@pytest.mark.parametrize("away", [0.0, pytest.param(1.0, marks=pytest.mark.long)])
-def test_deploy_goes_over_a_program_with_a_watchdog(tmp_path, away, soak) -> None:
+@pytest.mark.parametrize(
+    ("away", "count"),
+    [
+        (0.0, 2),
+        pytest.param(0.0, 4, marks=pytest.mark.long),
+        pytest.param(1.0, 4, marks=pytest.mark.long),
+    ],
+)
+def test_deploy_goes_over_a_program_with_a_watchdog(
+    tmp_path, away, count, soak
+) -> None:
     """It outlives the program, and bites nobody: the board starts without it first."""
     folders = [
         tagged(tmp_path / each, each, watchdog=1500) for each in ("one", "two")
     ] + [built(tmp_path, arm="always", watchdog=1.5)]
     with Cable(program_or_skip(), tmp_path / "board", away=away) as cable:
         (cable.folder / "bumper.txt").write_text("0")
-        deploys(cable, folders, 20 if soak else 4)
+        deploys(cable, folders, 20 if soak else count)
         assert cable.bites == 0
 
 
@@ -217,8 +226,15 @@ import main
 """
 
 
-@pytest.mark.parametrize("link", [False, pytest.param(True, marks=pytest.mark.long)])
-def test_nobody_who_reads_holds_up_no_step(tmp_path, link) -> None:
+@pytest.mark.parametrize(
+    ("link", "many"),
+    [
+        (False, 6000),
+        pytest.param(False, 30000, marks=pytest.mark.long),
+        pytest.param(True, 30000, marks=pytest.mark.long),
+    ],
+)
+def test_nobody_who_reads_holds_up_no_step(tmp_path, link, many) -> None:
     """Ten minutes of faults, and an unread line: no late step, and the reflex is alive."""
     folder = built(tmp_path, arm="always", link=link)
     board = tmp_path / "board"
@@ -226,18 +242,19 @@ def test_nobody_who_reads_holds_up_no_step(tmp_path, link) -> None:
         shutil.copytree(folder, cable.folder, dirs_exist_ok=True)
         (cable.folder / "main.py").rename(cable.folder / "wired.py")
         (cable.folder / "main.py").write_text(
-            SILENT.replace("{steps}", "30000").replace("import main", "import wired")
+            SILENT.replace("{steps}", str(many)).replace("import main", "import wired")
         )
         (cable.folder / "bumper.txt").write_text("1")
         cable.read = False
         cable.power()
         told = cable.folder / "steps.txt"
-        cable.until(lambda: told.exists() and told.read_text()[:5] == "30000", 120.0)
+        cable.until(lambda: told.exists() and told.read_text().count(" ") == 2)
+        cable.until(lambda: told.read_text().startswith(str(many)), 120.0)
         steps, late, faults = map(int, told.read_text().split())
-        assert (steps, late) == (30000, 0)
-        assert faults > 5000  # the light is not there
+        assert (steps, late) == (many, 0)
+        assert faults > many / 6  # the light is not there
         wheels = (cable.folder / "told.txt").read_text().split("\n")
-        assert wheels.count("-0.5 -0.5") >= 29990
+        assert wheels.count("-0.5 -0.5") >= many - 10
 
 
 def test_a_port_that_another_program_has_is_left_alone(plugged) -> None:

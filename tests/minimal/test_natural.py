@@ -197,14 +197,15 @@ def _near(one: Any, other: Any) -> bool:
 
 @pytest.fixture
 def worlds(request) -> tuple[int, list[World]]:
-    """The seed and the worlds: the same each time, or with --esair-soak new ones."""
-    seed, count = 11, 60
+    """The seed and the worlds: some of the same, or with --esair-soak new ones."""
+    seed, count = 11, 60 if request.config.getoption("--esair-long") else 15
     if request.config.getoption("--esair-soak"):
         seed, count = random.randrange(2**32), 1000
     rng = random.Random(seed)
     return seed, [make_world(rng) for _ in range(count)]
 
 
+@pytest.mark.longer
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-2", "MIN-3", "REA-4")
 def test_std_decides_as_min(worlds) -> None:
@@ -326,6 +327,7 @@ def played(printed: str) -> list[Told]:
     return [json.loads(each) for each in lines if not each.startswith("esair: ")]
 
 
+@pytest.mark.longer
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-1", "MIN-2")
 def test_micropython_decides_as_cpython(worlds, micropython, board) -> None:

