@@ -34,6 +34,7 @@ FAMILY: dict[str, tuple[type[Exception], tuple[Any, ...]]] = {
     "WrongLoopError": (RuntimeError, ("wander", "wheels")),
     "ProcessDiedError": (ConnectionError, ("detect", "was killed by SIGKILL", -9)),
     "RefusedError": (esair.EsairError, ("the battery is full", "docking")),
+    "OutcomeUnknownError": (ConnectionError, ("far_docking", "no beat")),
     "RecordingError": (OSError, ("day.mcap", "the disk is full")),
     "RecordingBrokenError": (ValueError, ("day.mcap", "it is no recording")),
 }

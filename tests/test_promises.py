@@ -31,11 +31,6 @@ PROMISES = {
 
 NOT_YET: dict[str, str] = dict.fromkeys(
     [
-        "NET-1",
-        "NET-2",
-        "NET-3",
-        "NET-4",
-        "NET-5",
         "NET-6",
         "ROS-1",
         "ROS-2",

@@ -21,6 +21,7 @@ it broadly (``except TimeoutError``) or exactly (``except esair.StaleReadingErro
     ├── BehaviorFailedError                       the other behavior crashed
     ├── ProcessDiedError         ConnectionError  the process of a component died
     ├── RefusedError                              an ask that its peer refused
+    ├── OutcomeUnknownError      ConnectionError  an ask whose answer was lost
     ├── CircularRequestError                      a request that waits for itself
     ├── BusyError                                 a bound is reached
     ├── StoppingError                             the robot starts or stops
@@ -287,6 +288,24 @@ class RefusedError(EsairError):
         super().__init__(f"{behavior!r} refused: {reason}" if behavior else reason)
         self.reason = reason
         self.behavior = behavior
+
+
+class OutcomeUnknownError(EsairError, ConnectionError):
+    """A request reached another robot, perhaps, and its answer was lost.
+
+    It may have been done, or half of it, or not at all: nothing here knows. Ask what is
+    the case there before it is asked again.
+
+    Attributes:
+        behavior: The behavior that was asked.
+        detail: What has happened.
+    """
+
+    def __init__(self, behavior: str, detail: str) -> None:
+        told = f"it is not known what became of a request to {behavior!r}: {detail}"
+        super().__init__(told)
+        self.behavior = behavior
+        self.detail = detail
 
 
 class CircularRequestError(EsairError):

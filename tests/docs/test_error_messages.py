@@ -24,6 +24,7 @@ ERRORS = [
     esair.BehaviorFailedError("eyes", "OSError: the camera library has crashed"),
     esair.ProcessDiedError("detect", "was killed by SIGKILL", -9),
     esair.RefusedError("no way in", "docking"),
+    esair.OutcomeUnknownError("far_docking", "no beat for 1.1 s"),
     esair.CircularRequestError(["a", "b", "a"]),
     esair.BusyError("docking", "queue", 16),
     esair.ConfigError("robot.toml", "actuator.wheels.safe", "expected a command"),

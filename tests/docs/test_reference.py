@@ -29,6 +29,7 @@ BESIDE = [
     "esair.framing",
     "esair.journal",
     "esair.minimal",
+    "esair.peers",
     "esair.plan",
     "esair.recording",
     "esair.replay",

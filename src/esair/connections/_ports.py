@@ -386,6 +386,11 @@ class ActuatorPort(Port[T]):
         """Tell who holds the actuator, by which rule, and what would free it."""
         return self._channel.why()
 
+    @property
+    def command_timeout(self) -> float:
+        """After how many seconds without a write the device gets its safe command."""
+        return self._channel.wire.command_timeout
+
 
 class _Done:
     """What is over: awaiting it only counts."""

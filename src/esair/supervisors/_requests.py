@@ -25,6 +25,7 @@ from esair.exceptions import (
     BusyError,
     CircularRequestError,
     EsairError,
+    OutcomeUnknownError,
     RefusedError,
     describe,
 )
@@ -52,6 +53,7 @@ class Outcome(enum.Enum):
     PEER_FAILED = "peer failed"
     STOPPING = "stopping"
     WITHDRAWN = "withdrawn"
+    NOT_KNOWN = "not known"
 
 
 class Record(NamedTuple):
@@ -270,6 +272,9 @@ class Request:
 
     def fail(self, detail: str, cause: BaseException | None = None) -> None:
         """Whoever worked on it gives it no answer any more."""
+        if isinstance(cause, OutcomeUnknownError):
+            self.end(Outcome.NOT_KNOWN, error=cause)
+            return
         error = BehaviorFailedError(self.peer, detail)
         error.__cause__ = cause
         self.end(Outcome.PEER_FAILED, error=error)

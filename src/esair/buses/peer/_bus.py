@@ -1,0 +1,361 @@
+"""The bus to a peer: another robot on the network, whose parts are devices on this bus.
+
+Both sides send beats. Each message tells the newest beat that its sender has heard of the
+other side, and how long ago: so who gets it knows by its own clock how old it may be.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import collections
+import itertools
+import math
+import secrets
+from collections.abc import Awaitable, Callable
+from typing import Any, Protocol
+
+from esair.buses._bus import Bus, listen
+from esair.buses._inbox import Inbox
+from esair.buses.peer._wire import FOR_OWNER, FORMS, Head, head_of, packed, parts_of
+from esair.codec import CodecError, Kinds, declared
+from esair.exceptions import (
+    BadValueError,
+    BusyError,
+    ConfigError,
+    DeviceLostError,
+    describe,
+)
+from esair.loop import arrive, fail, spawn
+from esair.messages import Stamped
+
+BEAT = 0.05
+"""How often each side beats, in seconds."""
+
+SILENCE = 1.0
+"""After so many seconds without a beat the peer is lost."""
+
+FIRST = 0.4
+"""How long an opening waits for the first beat, in seconds."""
+
+_FOLLOW_AGAIN = 20  # beats after which the peer is told again what is wanted
+_KEPT = 128  # beats of which it is known when they were sent
+_PENDING = 64  # requests that wait for their answers
+_READINGS = 16  # readings of a sensor that wait to be taken
+
+NEVER = -math.inf
+
+Send = Callable[[str, bytes], None]
+Serve = Callable[[str, float, bytes], object]
+
+
+class PeerNetwork(Protocol):
+    """How a robot reaches its peers: a `Network`, or that of a `FakeNetwork`."""
+
+    @property
+    def me(self) -> str:
+        """The name of this robot."""
+
+    def join(self, bus: Any, /) -> Awaitable[Send]:
+        """Hand what comes to ``bus.came`` from now on; return what sends, and never waits."""
+
+    def leave(self, bus: Any, /) -> Awaitable[None]:
+        """Hand on no more."""
+
+
+class PeerBus(Bus):
+    """The way to another robot, by its name on the network.
+
+    It is open while the peer beats; when its beats stay away for a second, everything on
+    it is lost, and it comes back by itself. In ``bus.stats`` messages are counted;
+    ``refused`` are those that came with too old a beat.
+
+    Args:
+        name: The name of the bus, and of the peer.
+        network: How it is reached, the same object for all peers.
+    """
+
+    def __init__(self, *, name: str, network: PeerNetwork) -> None:
+        super().__init__(name=name)
+        if network.me == name:
+            raise ConfigError(name, "network", "a robot is no peer of itself")
+        self.network: PeerNetwork = network
+        self.round_trip: float = math.inf
+        """How long a beat and its echo have taken last, in seconds."""
+        self._undeclared: list[Any] = []
+        self.kinds: Kinds = Kinds(more=self._declare_late)
+        """The classes that may come: what the robot's own parts declare."""
+        self._serve: Serve | None = None
+        self._send: Send | None = None
+        self._run = secrets.randbits(63)
+        self._sent: collections.deque[float] = collections.deque(maxlen=_KEPT)
+        self._beats = 0
+        self._its_run = self._its_beat = 0
+        self._over: collections.deque[int] = collections.deque(maxlen=8)
+        self._heard_at = self._beat_at = NEVER
+        self._alive = asyncio.Event()
+        self._beating: asyncio.Task[None] | None = None
+        self._on_gap: list[Callable[[float], None]] = []
+        self._numbers = itertools.count(secrets.randbits(31) << 20)
+        self._pending: dict[int, asyncio.Future[tuple[str, Any]]] = {}
+        self._progress: dict[int, Callable[[Any], object]] = {}
+        self._followed: dict[str, tuple[float, Inbox[Any]]] = {}
+
+    def declare(self, kind: Any) -> None:
+        """Let the classes come that a component, or a port, declares."""
+        self._undeclared.append(kind)
+
+    def _declare_late(self, kinds: Kinds) -> None:
+        while self._undeclared:
+            kind = self._undeclared.pop()
+            kinds.add(kind)
+            for each in declared(kind) if isinstance(kind, type) else ():
+                kinds.add(each)
+
+    # Its life: it beats from the first opening to its end, whether the peer is there or not.
+
+    async def _open(self) -> None:
+        if self._send is None:
+            self._send = await self.network.join(self)
+            self._beating = spawn(
+                asyncio.get_running_loop(), self._beat(), name=f"{self.name} beats"
+            )
+        try:
+            async with asyncio.timeout(FIRST):
+                await self._alive.wait()
+        except TimeoutError:
+            raise DeviceLostError(self.name, "no beat of it was heard") from None
+
+    async def _close(self) -> None:
+        """It goes on to beat, so that the peer is heard when it is back."""
+
+    async def close(self) -> None:
+        """Say so, and beat no more."""
+        if self.is_open:
+            self.say("bye")
+        try:
+            await super().close()
+        finally:
+            if self._send is not None:
+                self._send = None
+                await self.network.leave(self)
+            self._alive.clear()
+            self._run += 1  # for the peer it is one that has restarted
+            if self._beating is not None:
+                self._beating.cancel()
+                self._beating = None
+
+    async def _beat(self) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            self._beats += 1
+            self._sent.append(loop.time())
+            self.say("beat")
+            silent = loop.time() - self._heard_at
+            if self._alive.is_set() and silent > SILENCE:
+                self._gone(f"no beat for {silent:.2g} s")
+            elif self.is_open and self._beats % _FOLLOW_AGAIN == 0:
+                self._tell_followed()
+            await asyncio.sleep(BEAT)
+
+    def _gone(self, told: str) -> None:
+        self._alive.clear()
+        if self.is_open and self._serve is not None:
+            self._serve("lost", NEVER, b"")
+        self.lost(DeviceLostError(self.name, told))
+
+    def lost(self, error: BaseException) -> None:
+        """Tell everybody on the bus, and whoever waits for an answer."""
+        super().lost(error)
+        for future in self._pending.values():
+            fail(future, DeviceLostError(self.name, describe(error)))
+
+    def on_gap(self, listener: Callable[[float], None]) -> Callable[[], None]:
+        """Call a function with the seconds between two beats of the peer, when one comes.
+
+        Returns how to stop that.
+        """
+        return listen(self._on_gap, listener)
+
+    # What comes.
+
+    def came(self, what: str, data: bytes) -> None:
+        """Take a message of the peer; in the loop."""
+        found = head_of(data) if what in FORMS else None
+        if found is None:
+            self.stats.bad_frames += 1
+            return
+        head, body = found
+        if head.run in self._over:
+            self.stats.late += 1
+            return
+        now = asyncio.get_running_loop().time()
+        self.stats.received += 1
+        if head.run != self._its_run:
+            self._over.append(self._its_run)
+            self._its_run, self._its_beat = head.run, -1
+            if self._alive.is_set():
+                self._gone("it has restarted")
+        self._heard_at = now
+        if head.beat > self._its_beat:
+            gap, self._its_beat, self._beat_at = now - self._beat_at, head.beat, now
+            if self.is_open:
+                for listener in tuple(self._on_gap):
+                    listener(gap)
+        since = self._since(head)
+        if since > NEVER:
+            self.round_trip = max(0.0, now - since - head.held)
+        if what == "bye":
+            self._over.append(head.run)
+            self._its_run = 0
+            self._gone("it has ended")
+            return
+        if not self._alive.is_set():
+            self._alive.set()
+            self.arrived()
+        if what != "beat":
+            self._take(what, since, since + head.held, body)
+
+    def _since(self, head: Head) -> float:
+        """Return when the beat was sent that a message echoes; long ago if not known."""
+        back = self._beats - head.echo
+        if head.echo_run != self._run or not 0 <= back < len(self._sent):
+            return NEVER
+        return self._sent[-1 - back]
+
+    def _take(self, what: str, since: float, sent: float, body: bytes) -> None:
+        if not self.is_open:
+            self.stats.unheard += 1
+        elif what in FOR_OWNER:
+            if self._serve is None:
+                self._not_served(what, body)
+            else:
+                self._serve(what, since, body)
+        elif what == "ready":
+            for listener in tuple(self._on_arrival):
+                listener()
+        elif (parts := self.parts(what, body)) is not None:
+            self._hand_on(what, sent, parts)
+
+    def _not_served(self, what: str, body: bytes) -> None:
+        """Answer what comes before this robot is ready to serve, or after."""
+        self.stats.unheard += 1
+        parts, told = self.parts(what, body), f"{self.network.me!r} shares nothing now"
+        if parts is None or what == "cancel":
+            return
+        if what == "follow":
+            for name in parts[0]:
+                self.say("gone", str(name), told)
+        else:
+            self.say("answer", parts[0], "declined" if what == "ask" else "lost", told)
+
+    def parts(self, what: str, body: bytes) -> tuple[Any, ...] | None:
+        """Return the parts of a message; one that is none is counted."""
+        try:
+            return parts_of(what, body, self.kinds)
+        except CodecError as error:
+            self.stats.bad_frames += 1
+            self.stats.last_error = describe(error)
+            return None
+
+    def _hand_on(self, what: str, sent: float, parts: tuple[Any, ...]) -> None:
+        if what == "answer":
+            number, how, value = parts
+            future = self._pending.get(number)
+            if future is None:
+                self.stats.late += 1
+            else:
+                arrive(future, (how, value))
+        elif what == "progress":
+            number, value = parts
+            self._progress.get(number, _unheard)(value)
+        else:
+            wanted = self._followed.get(parts[0])
+            if wanted is None:
+                self.stats.unheard += 1
+            elif what == "gone":
+                wanted[1].offer(
+                    DeviceLostError(self.name, parts[1]) if parts[1] else None
+                )
+            elif sent > NEVER:
+                # It was measured no earlier than that, however long each way was.
+                now = asyncio.get_running_loop().time()
+                wanted[1].offer(Stamped(parts[2], min(now, sent - parts[1])))
+
+    # What is said.
+
+    def say(self, what: str, *parts: Any) -> bool:
+        """Send a message; it is lost if the peer is not there. Tells if it was sent.
+
+        Raises:
+            BadValueError: It is no plain data: which part of it, and why.
+        """
+        if self._send is None:
+            return False
+        now = asyncio.get_running_loop().time()
+        held = max(0.0, now - self._beat_at) if self._its_run else 0.0
+        head = Head(self._run, self._beats, self._its_run, max(0, self._its_beat), held)
+        try:
+            data = packed(head, parts, self.kinds)
+        except CodecError as error:
+            raise BadValueError(self.name, what, str(error)) from None
+        self.stats.sent += 1
+        self._send(what, data)
+        return True
+
+    async def request(
+        self,
+        what: str,
+        *parts: Any,
+        progress: Callable[[Any], object] | None = None,
+    ) -> tuple[str, Any]:
+        """Send what is answered, and wait for the answer: how it ended, and with what.
+
+        Raises:
+            DeviceLostError: The peer was lost before it has answered.
+            BadValueError: It is no plain data; nothing was sent.
+            BusyError: Too many wait.
+        """
+        if not self.is_open:
+            raise DeviceLostError(self.name, "it is not there")
+        if len(self._pending) >= _PENDING:
+            raise BusyError(self.name, "number of requests to a peer", _PENDING)
+        number = next(self._numbers)
+        future: asyncio.Future[tuple[str, Any]]
+        future = asyncio.get_running_loop().create_future()
+        self._pending[number] = future
+        if progress is not None:
+            self._progress[number] = progress
+        try:
+            self.say(what, number, *parts)
+            return await future
+        except asyncio.CancelledError:
+            self.say("cancel", number)
+            raise
+        finally:
+            del self._pending[number]
+            self._progress.pop(number, None)
+
+    def follow(self, sensor: str, rate: float) -> Inbox[Any]:
+        """Ask for the readings of a sensor, until the inbox is closed."""
+
+        def forget(inbox: Inbox[Any]) -> None:
+            if self._followed.get(sensor, (0.0, None))[1] is inbox:
+                del self._followed[sensor]
+
+        inbox: Inbox[Any] = Inbox(_READINGS, forget)
+        self._followed[sensor] = rate, inbox
+        self._tell_followed()
+        return inbox
+
+    def _tell_followed(self) -> None:
+        self.say("follow", {name: rate for name, (rate, _) in self._followed.items()})
+
+    def serve(self, serve: Serve | None) -> None:
+        """Hand what the peer asks for here to a function; None to hand on nothing."""
+        self._serve = serve
+        if serve is not None and self.is_open:
+            self.say("ready")
+
+
+def _unheard(_: Any) -> None:
+    """Nobody wants to know how far it is."""

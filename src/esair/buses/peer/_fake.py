@@ -1,0 +1,117 @@
+"""A network in memory: peers in one process, and what goes wrong between them."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Iterable
+
+import attrs
+
+from esair.buses.peer._bus import PeerBus, Send
+from esair.loop import Door
+
+
+@attrs.frozen
+class FakeAccess:
+    """What one robot has of a `FakeNetwork`."""
+
+    network: FakeNetwork
+    me: str
+
+    async def join(self, bus: PeerBus) -> Send:
+        """Let a bus send and hear."""
+        return self.network.join(self.me, bus)
+
+    async def leave(self, bus: PeerBus) -> None:
+        """Hand on no more to a bus."""
+        self.network.leave(self.me, bus)
+
+
+class FakeNetwork:
+    """A network between robots of one process, also on the virtual clock.
+
+    Each robot makes its buses with ``network.of("its name")``. What is cut is lost; with
+    ``keep=True`` it comes after the cut, all at once, as TCP does it.
+
+    Attributes:
+        delay: How long each message takes, in seconds.
+        loss: Which share of the messages is lost, from 0 to 1.
+        log: Every message that was sent: who, to whom, what, and its bytes.
+
+    Example:
+        >>> network = FakeNetwork()
+        >>> to_base = PeerBus(name="base", network=network.of("laptop"))
+        >>> to_laptop = PeerBus(name="laptop", network=network.of("base"))
+    """
+
+    def __init__(self, *, delay: float = 0.0, loss: float = 0.0, seed: int = 0) -> None:
+        self.delay = delay
+        self.loss = loss
+        self.log: list[tuple[str, str, str, bytes]] = []
+        self._random = random.Random(seed)
+        self._there: dict[tuple[str, str], PeerBus] = {}
+        self._cut: dict[str, bool] = {}
+        self._kept: list[tuple[str, str, str, bytes]] = []
+
+    def of(self, me: str) -> FakeAccess:
+        """Return what a robot reaches its peers by."""
+        return FakeAccess(self, me)
+
+    def join(self, me: str, bus: PeerBus) -> Send:
+        """Let a bus send and hear."""
+        self._there[me, bus.name] = bus
+
+        def send(what: str, data: bytes) -> None:
+            self._sent(me, bus.name, what, data)
+
+        return send
+
+    def leave(self, me: str, bus: PeerBus) -> None:
+        """Hand on no more to a bus."""
+        self._there.pop((me, bus.name), None)
+
+    def cut(self, *robots: str, keep: bool = False) -> None:
+        """Let nothing come from or to some robots any more, or any if none is named."""
+        for robot in robots or self._names():
+            self._cut[robot] = keep
+
+    def heal(self) -> None:
+        """End all cuts; what was kept comes now."""
+        self._cut.clear()
+        kept, self._kept = self._kept, []
+        for message in kept:
+            self._deliver(message)
+
+    def _names(self) -> Iterable[str]:
+        return {name for pair in self._there for name in pair}
+
+    def _sent(self, sender: str, to: str, what: str, data: bytes) -> None:
+        message = sender, to, what, data
+        self.log.append(message)
+        del self.log[:-1000]
+        cuts = [self._cut[each] for each in (sender, to) if each in self._cut]
+        if cuts:
+            if all(cuts):
+                self._kept.append(message)
+            return
+        if not (self.loss and self._random.random() < self.loss):
+            self._deliver(message)
+
+    def _deliver(self, message: tuple[str, str, str, bytes]) -> None:
+        loop = asyncio.get_running_loop()
+        if self.delay:
+            loop.call_later(self.delay, self._arrive, message)
+        else:
+            self._arrive(message)
+
+    def _arrive(self, message: tuple[str, str, str, bytes]) -> None:
+        sender, to, what, data = message
+        bus = self._there.get((to, sender))
+        if bus is not None:
+            door = Door.of(asyncio.get_running_loop())
+            door.end(("peer", sender), bus.came, what, data)
+
+    def inject(self, sender: str, to: str, what: str, data: bytes) -> None:
+        """Let a robot hear any bytes, as if another one had sent them."""
+        self._arrive((sender, to, what, data))

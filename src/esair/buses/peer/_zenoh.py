@@ -1,0 +1,258 @@
+"""The network itself: the one module that knows zenoh, and imports it when it is opened.
+
+Endpoints are explicit: nothing is scouted, and nobody passes on what others say. With
+certificates the keys of each robot are open to its certificate alone; zenoh refuses the
+rest where it comes in.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import attrs
+
+from esair.buses._opening import open_on, shut_on
+from esair.buses.peer._wire import LIMIT, key_of
+from esair.exceptions import ConfigError, DeviceLostError, EsairError, describe
+from esair.loop import Door, spawn
+from esair.values import check_name
+
+if TYPE_CHECKING:
+    from esair.buses.peer._bus import PeerBus, Send
+
+_ENDPOINT: Final = re.compile(
+    r"(tcp|tls)/(\[[0-9a-f:.]+\]|[\w.-]+):(\d{1,5})", re.ASCII
+)
+_HERE: Final = re.compile(r"127(\.\d+){3}|localhost|\[::1\]")
+
+_WAITING: Final = 512
+"""How many messages of a peer may wait for the loop; what comes then is dropped."""
+
+_OPENING: Final = 1.5  # how long a session may take to open, in seconds
+
+
+@attrs.frozen
+class Tls:
+    """Who may be heard: robots with certificates of one authority.
+
+    The common name of a certificate is the name of its robot.
+
+    Attributes:
+        ca: The certificate of the authority, a file in PEM.
+        certificate: That of this robot.
+        key: Its private key.
+    """
+
+    ca: Path
+    certificate: Path
+    key: Path
+
+
+def _paths(endpoints: Any) -> tuple[str, ...]:
+    return tuple(map(str, endpoints))
+
+
+@attrs.define(eq=False, kw_only=True)
+class Network:
+    """How a robot reaches its peers; the buses to all of them share it.
+
+    Attributes:
+        me: The name of this robot on the network.
+        peers: The names of the robots that it speaks with.
+        listen: Where they may connect: ``"tls/0.0.0.0:7447"``, ``"tcp/127.0.0.1:7447"``.
+        connect: Where they are: ``"tls/192.168.1.5:7447"``.
+        tls: The certificates; without them endpoints have to be on this machine.
+        insecure: Endpoints elsewhere without certificates: everybody who gets there can
+            read and say everything.
+    """
+
+    me: str
+    peers: tuple[str, ...] = attrs.field(default=(), converter=_paths)
+    listen: tuple[str, ...] = attrs.field(default=(), converter=_paths)
+    connect: tuple[str, ...] = attrs.field(default=(), converter=_paths)
+    tls: Tls | None = None
+    insecure: bool = False
+    _users: set[str] = attrs.field(factory=set, init=False)
+    _session: Any = attrs.field(default=None, init=False)
+    _opening: asyncio.Task[Any] | None = attrs.field(default=None, init=False)
+    _subscribers: dict[str, Any] = attrs.field(factory=dict, init=False)
+
+    def __attrs_post_init__(self) -> None:
+        for name in (self.me, *self.peers):
+            check_name("robot", name)
+        if not self.listen and not self.connect:
+            told = "expected endpoints: listen = [...], connect = [...], or both"
+            raise ConfigError("network", "", told)
+        for field in ("listen", "connect"):
+            for endpoint in getattr(self, field):
+                if (wrong := self._wrong(endpoint)) is not None:
+                    raise ConfigError("network", field, f"{endpoint!r:.80}: {wrong}")
+        for field in ("ca", "certificate", "key") if self.tls is not None else ():
+            if not (file := Path(getattr(self.tls, field))).is_file():
+                told = f"there is no file {str(file)!r}"
+                raise ConfigError("network", f"tls.{field}", told)
+
+    def _wrong(self, endpoint: str) -> str | None:
+        found = _ENDPOINT.fullmatch(endpoint)
+        if found is None or not 0 < int(found[3]) < 65536:
+            return "expected 'tcp/HOST:PORT' or 'tls/HOST:PORT'"
+        if found[1] == "tls" and self.tls is None:
+            return "tls needs certificates: [network.tls]"
+        if found[1] == "tcp" and self.tls is not None:
+            return "with certificates every endpoint begins with tls/"
+        if found[1] == "tcp" and not self.insecure and not _HERE.fullmatch(found[2]):
+            return (
+                "beyond this machine expected certificates ([network.tls] and tls/...), "
+                "or insecure = true: then everybody there can drive this robot"
+            )
+        return None
+
+    async def join(self, bus: PeerBus) -> Send:
+        """Open the network, unless it is open, and hear what the peer of a bus says.
+
+        Raises:
+            ConfigError: zenoh is not installed.
+            DeviceLostError: The network cannot be had: a port is in use.
+        """
+        loop = asyncio.get_running_loop()
+        self._users.add(bus.name)
+        if self._session is None and self._opening is None:
+            self._opening = spawn(loop, self._open(bus), name="open the network")
+        if self._opening is not None:
+            await asyncio.wait({self._opening})
+            self._opening.result()
+        import zenoh  # it is there: the session is open
+
+        session, name = self._session, bus.name
+        door, tag, waiting = Door.of(loop), ("peer", name), [0]
+
+        def take(what: str, data: bytes) -> None:
+            waiting[0] -= 1
+            bus.came(what, data)
+
+        def come(sample: Any) -> None:  # on a thread of zenoh
+            payload = sample.payload
+            if waiting[0] >= _WAITING or len(payload) > LIMIT:
+                bus.stats.dropped += 1
+                return
+            waiting[0] += 1
+            what = str(sample.key_expr).rpartition("/")[2]
+            door.tell(tag, take, what, payload.to_bytes())
+
+        def send(what: str, data: bytes) -> None:
+            drop = zenoh.CongestionControl.DROP
+            key = key_of(name, self.me, what)
+            session.put(key, data, congestion_control=drop, express=True)
+
+        key = key_of(self.me, name, "*")
+        self._subscribers[name] = session.declare_subscriber(key, come)
+        return send
+
+    async def leave(self, bus: PeerBus) -> None:
+        """Hear no more of a peer; with the last one the network is closed."""
+        self._users.discard(bus.name)
+        subscriber = self._subscribers.pop(bus.name, None)
+        if self._users:
+            if subscriber is not None:
+                subscriber.undeclare()
+            return
+        session, self._session = self._session, None
+        if session is not None:
+            await shut_on(bus.executor, session.close, timeout=0.5)
+            await bus.executor.join(timeout=0.1)
+
+    async def _open(self, bus: PeerBus) -> None:
+        try:
+            import zenoh
+
+            config = zenoh.Config()
+            for key, value in self.settings():
+                config.insert_json5(key, json.dumps(value))
+            self._session = await open_on(
+                bus.executor,
+                lambda: zenoh.open(config),
+                lambda session: session.close(),
+                timeout=_OPENING,
+            )
+        except ImportError as error:
+            told = "zenoh is not installed: pip install 'esair[net]'"
+            raise ConfigError(bus.name, "network", told) from error
+        except EsairError:
+            raise
+        except Exception as error:  # zenoh has one class of errors for everything
+            raise DeviceLostError(bus.name, describe(error)) from error
+        finally:
+            self._opening = None
+
+    def settings(self) -> Iterator[tuple[str, Any]]:
+        """Yield what zenoh is told, by the names of its configuration."""
+        yield "mode", "peer"
+        yield "scouting/multicast/enabled", False
+        yield "scouting/gossip/enabled", False
+        yield "listen/endpoints", list(self.listen)
+        yield "connect/endpoints", list(self.connect)
+        yield "scouting/delay", 0
+        yield "connect/timeout_ms", -1  # for ever, in the background
+        yield "connect/exit_on_failure", False
+        retry = {
+            "period_init_ms": 100,
+            "period_max_ms": 250,
+            "period_increase_factor": 2,
+        }
+        yield "connect/retry", retry
+        yield "transport/shared_memory/enabled", False
+        yield "transport/link/protocols", ["tcp" if self.tls is None else "tls"]
+        # A way that a cut has broken is made anew: TCP alone would wait ever longer.
+        yield "transport/link/tx/lease", 1200
+        if self.tls is not None:
+            certificate, key = str(self.tls.certificate), str(self.tls.key)
+            yield (
+                "transport/link/tls",
+                {
+                    "root_ca_certificate": str(self.tls.ca),
+                    "listen_certificate": certificate,
+                    "listen_private_key": key,
+                    "connect_certificate": certificate,
+                    "connect_private_key": key,
+                    "enable_mtls": True,
+                    # Who it is says the certificate, not the address: see the rules.
+                    "verify_name_on_connect": False,
+                    "close_link_on_expiration": True,
+                },
+            )
+            yield "access_control", self._rules()
+
+    def _rules(self) -> dict[str, Any]:
+        """Return which keys are open to which certificate; all others are shut."""
+        rules: list[Any] = []
+        subjects: list[Any] = []
+        policies: list[Any] = []
+        for peer in self.peers:
+            subjects.append({"id": peer, "cert_common_names": [peer]})
+            mine = key_of(self.me, peer, "*"), key_of(peer, self.me, "*")
+            names = []
+            for flow, said, heard in (("ingress", *mine), ("egress", *mine[::-1])):
+                for kind, key in (("put", said), ("declare_subscriber", heard)):
+                    names.append(f"{peer} {flow} {kind}")
+                    rules.append(
+                        {
+                            "id": names[-1],
+                            "permission": "allow",
+                            "flows": [flow],
+                            "messages": [kind],
+                            "key_exprs": [key],
+                        }
+                    )
+            policies.append({"rules": names, "subjects": [peer]})
+        return {
+            "enabled": True,
+            "default_permission": "deny",
+            "rules": rules,
+            "subjects": subjects,
+            "policies": policies,
+        }

@@ -1,0 +1,247 @@
+"""Sensors and actuators of another robot, and how that robot is.
+
+They are used like local ones, by their local names::
+
+    [network]
+    connect = ["tls/192.168.1.5:7447"]
+
+    [remote.base.sensor.sonar]
+
+    [remote.base.actuator.wheels]
+    type = "rover:Twist"
+
+The other robot has to share them: ``[share.sonar]``, ``[share.wheels]``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from typing import Any, Final, Unpack
+
+import attrs
+
+from esair.buses import Inbox
+from esair.buses.peer import PeerBus
+from esair.drivers._made import imported
+from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.loop import clock_of
+from esair.messages import Refused
+from esair.resources import HOLD, Actuator, ActuatorSettings, Sensor, SensorSettings
+
+__all__ = ["Peer", "PeerActuator", "PeerSensor", "PeerStatus"]
+
+_FIRST: Final = 0.6
+"""How long an opening waits for what the peer says of a sensor, in seconds."""
+
+_BUILT_IN: Final = {
+    each.__name__: each for each in (bool, int, float, str, dict, tuple)
+}
+
+
+@attrs.frozen
+class PeerStatus:
+    """How another robot is heard.
+
+    Attributes:
+        round_trip: How long a beat and its echo have taken last, in seconds.
+        received: Messages that came from it.
+        refused: Those among them that came with too old a beat.
+        bad: Those that were damaged, or not as expected.
+        lost: How often it was lost.
+    """
+
+    round_trip: float
+    received: int
+    refused: int
+    bad: int
+    lost: int
+
+
+class Peer(Sensor[PeerStatus]):
+    """How another robot is heard; LOST while it is not."""
+
+    bus: PeerBus
+    blocking: bool = False
+
+    def __init__(self, **settings: Unpack[SensorSettings]) -> None:
+        settings.setdefault("rate", 2.0)
+        super().__init__(**settings)
+
+    def read(self) -> PeerStatus:
+        """Return what the bus has counted."""
+        bus, stats = self.bus, self.bus.stats
+        trip = min(bus.round_trip, 1e6)
+        received, bad = stats.received, stats.bad_frames
+        return PeerStatus(trip, received, stats.refused, bad, stats.lost)
+
+
+def _type_of(owner: Sensor[Any] | Actuator[Any], kind: Any) -> Any:
+    """Return the type that a file, or a script, names."""
+    if isinstance(kind, str):
+        if kind in _BUILT_IN:
+            kind = _BUILT_IN[kind]
+        else:
+            kind = imported(owner, kind, hint="install the package that has it")
+    if owner.bus is not None and kind is not Any:
+        owner.bus.declare(kind)
+    return kind
+
+
+class PeerSensor(Sensor[Any]):
+    """A sensor of another robot, under a local name.
+
+    A reading is never called younger than it is: its age counts from the beat of this
+    robot that its owner had heard before it was sent.
+
+    Args:
+        type: The type of its readings, also as ``"module:Class"``; plain data unless given.
+        remote: Its name there; the local one unless given.
+        link_rate: How often a reading is sent at most, in Hz.
+    """
+
+    bus: PeerBus
+
+    def __init__(
+        self,
+        *,
+        type: Any = Any,  # noqa: A002 - as in esair.reads
+        remote: str | None = None,
+        link_rate: float = 20.0,
+        **settings: Unpack[SensorSettings],
+    ) -> None:
+        super().__init__(**settings)
+        self._type = _type_of(self, type)
+        self.remote: str = remote or self.name
+        if not 0.0 < link_rate <= 1000.0:
+            told = f"expected more than 0 and at most 1000 Hz, not {link_rate!r:.80}"
+            raise ConfigError(self.name, "link_rate", told)
+        self.link_rate = link_rate
+        self._inbox: Inbox[Any] | None = None
+        self._first: Any = None
+
+    @property
+    def value_type(self) -> Any:
+        """The type of its readings."""
+        return self._type
+
+    async def open(self) -> None:
+        """Ask its owner for the readings, and wait for what that says of it.
+
+        Raises:
+            DeviceLostError: It is lost there, not shared, or its owner does not answer.
+        """
+        self._inbox = self.bus.follow(self.remote, self.link_rate)
+        try:
+            self._first = await self._inbox.take(timeout=_FIRST)
+        except TimeoutError:
+            told = f"{self.bus.name!r} says nothing of {self.remote!r}"
+            raise DeviceLostError(self.name, told) from None
+        if isinstance(self._first, DeviceLostError):
+            raise DeviceLostError(self.name, self._first.detail)
+
+    async def close(self) -> None:
+        """Ask for no more."""
+        if self._inbox is not None:
+            self._inbox.close()
+
+    async def stream(self) -> AsyncIterator[Any]:
+        """Yield each reading.
+
+        Raises:
+            DeviceLostError: It is lost there.
+        """
+        assert self._inbox is not None
+        first, self._first = self._first, None
+        if first is not None:
+            yield first
+        async for said in self._inbox:
+            if isinstance(said, DeviceLostError):
+                raise DeviceLostError(self.name, said.detail)
+            if said is not None:
+                yield said
+
+
+class PeerActuator(Actuator[Any]):
+    """An actuator of another robot, under a local name.
+
+    There this robot is one of its writers, with the priority and the rights of the share.
+    What makes it safe here lets it go there: then its owner decides, and makes it safe
+    when nobody else moves it.
+
+    Args:
+        type: The type of its commands, also as ``"module:Class"``; plain data unless given.
+        remote: Its name there; the local one unless given.
+    """
+
+    bus: PeerBus
+    safe: Any = HOLD
+    own_timeout: float | None = 0.2
+    deadline: float = 0.5
+
+    def __init__(
+        self,
+        *,
+        type: Any = Any,  # noqa: A002 - as in esair.reads
+        remote: str | None = None,
+        **settings: Unpack[ActuatorSettings],
+    ) -> None:
+        super().__init__(**settings)
+        self._type = _type_of(self, type)
+        self.remote: str = remote or self.name
+        self._forget: Callable[[], None] | None = None
+
+    @property
+    def value_type(self) -> Any:
+        """The type of its commands."""
+        return self._type
+
+    async def open(self) -> None:
+        """Look out for gaps between the beats of its owner."""
+        await self.close()
+        self._forget = self.bus.on_gap(self._gap)
+
+    async def close(self) -> None:
+        """Look out no more."""
+        if self._forget is not None:
+            self._forget()
+            self._forget = None
+
+    def _gap(self, seconds: float) -> None:
+        """Let nothing leave that waits from before a gap."""
+        if seconds > self.command_timeout:
+            told = f"{self.bus.name!r} was not heard for {seconds:.2g} s"
+            self.report_lost(DeviceLostError(self.name, told))
+            self.report_arrived()
+
+    async def write(self, command: Any) -> Any:
+        """Send a command with the newest beat heard, and wait for what its owner says.
+
+        Returns:
+            What was applied there, or a refusal with the holder there.
+
+        Raises:
+            DeviceLostError: The peer is lost, or does not share it.
+            DeviceFaultError: Its owner could not apply it.
+        """
+        bus = self.bus
+        if command is HOLD:
+            how, value = await bus.request("release", self.remote)
+        else:
+            how, value = await bus.request("write", self.remote, command)
+        match how, value:
+            case "written", _:
+                return value
+            case "refused", (
+                str(holder),
+                int(priority),
+                str(rule),
+                float(age),
+                (None | float()) as left,
+            ):
+                now = clock_of(asyncio.get_running_loop())()
+                until = None if left is None else now + left
+                return Refused(f"{bus.name}:{holder}", priority, rule, now - age, until)
+            case "lost", str(told):
+                raise DeviceLostError(self.name, f"{bus.name!r} says: {told}")
+        raise DeviceFaultError(self.name, f"{bus.name!r} says: {value!r:.200}")

@@ -1,0 +1,121 @@
+"""A behavior of another robot: it is asked like one of this robot."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any
+
+from esair.actions import Behavior, Request, answer_type, declared_requests, takes
+from esair.buses.peer import PeerBus
+from esair.codec import CodecError, decode, encode
+from esair.exceptions import (
+    BehaviorFailedError,
+    DeviceLostError,
+    EsairError,
+    OutcomeUnknownError,
+    describe,
+)
+from esair.loop import News, outside
+
+
+class PeerBehavior(Behavior):
+    """Stands here for a behavior of a peer; `peer_behavior` makes one.
+
+    Each request has one outcome. One whose answer is lost with the peer ends as
+    `OutcomeUnknownError`, never as failed; one that was not sent is refused.
+    """
+
+    bus: PeerBus
+    remote: str
+
+    async def setup(self) -> None:
+        """Let the answers cross."""
+        self._progress: dict[int, Callable[[Any], object]] = {}
+        self._numbers = itertools.count()
+        loop = asyncio.get_running_loop()
+        self._told = News(loop, ("peer", self.name, "progress"), self._hear)
+
+    async def run(self) -> None:
+        """Hand each request on, those of one class one after the other."""
+        async with asyncio.TaskGroup() as tasks:
+            for attribute in declared_requests(type(self)):
+                tasks.create_task(self._serve(getattr(self, attribute)))
+
+    async def _serve(self, requests: Any) -> None:
+        async for request in requests:
+            try:
+                async with request:
+                    await self._hand_on(request)
+            except EsairError:
+                pass  # the asker has it
+
+    async def _hand_on(self, request: Request[Any]) -> None:
+        number = next(self._numbers)
+        self._progress[number] = request.progress
+        tag = "peer", self.name, "ask"
+        try:
+            how, data = await outside(tag, partial(self._ask, number, request.data))
+        finally:
+            del self._progress[number]
+        try:
+            value = decode(data, self.bus.kinds)
+        except CodecError as error:
+            raise OutcomeUnknownError(self.name, describe(error)) from None
+        if how == "answered":
+            request.answer(value)
+        elif how == "declined":
+            request.refuse(str(value))
+        elif how == "failed":
+            raise BehaviorFailedError(self.remote, str(value))
+        else:
+            raise OutcomeUnknownError(self.name, str(value))
+
+    async def _ask(self, number: int, request: object) -> tuple[str, bytes]:
+        """Ask over the network; what comes of it is plain, and kept in a recording."""
+        bus = self.bus
+
+        def progress(value: Any) -> None:
+            self._told.tell(number, encode(value, bus.kinds))
+
+        if not bus.is_open:
+            how, value = "declined", f"{bus.name!r} is not there"
+        else:
+            try:
+                how, value = await bus.request(
+                    "ask", self.remote, request, progress=progress
+                )
+            except DeviceLostError as error:
+                how, value = "lost", error.detail
+            except EsairError as error:  # it was not sent
+                how, value = "declined", describe(error)
+        return how, encode(value, bus.kinds)
+
+    def _hear(self, number: int, data: bytes) -> None:
+        progress = self._progress.get(number)
+        if progress is not None:
+            progress(decode(data, self.bus.kinds))
+
+
+def peer_behavior(
+    name: str, bus: PeerBus, requests: Iterable[type[Request[Any]]], *, remote: str = ""
+) -> PeerBehavior:
+    """Return what stands here for a behavior of a peer.
+
+    Args:
+        name: Its name here.
+        bus: The bus to the peer.
+        requests: What it takes, as its class declares it there.
+        remote: Its name there; the same unless given.
+    """
+    ports: dict[str, Any] = {}
+    for number, kind in enumerate(requests):
+        ports[f"requests_{number}"] = takes(kind)
+        bus.declare(kind)
+        bus.declare(answer_type(kind))
+    made: PeerBehavior = type("PeerBehavior", (PeerBehavior,), ports)(name=name)
+    made.bus = bus
+    made.remote = remote or name
+    return made

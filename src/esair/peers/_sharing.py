@@ -1,0 +1,319 @@
+"""What a peer may do here: read, write and ask what is shared with it, in its own name."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Iterable
+from typing import Any, Final, Literal
+
+import attrs
+
+from esair.actions import Behavior, Request, reads, writes
+from esair.buses.peer import SILENCE, PeerBus
+from esair.exceptions import (
+    BadValueError,
+    BusyError,
+    CircularRequestError,
+    ConfigError,
+    DeviceLostError,
+    EsairError,
+    NotRegisteredError,
+    RefusedError,
+    ResourceRemovedError,
+    StoppingError,
+    UnknownNameError,
+    describe,
+)
+from esair.loop import News, now
+from esair.messages import Refused, ResourceState
+
+_WAITING: Final = 4
+"""How many commands of a peer may wait for one actuator."""
+
+_ASKS: Final = 16
+"""How many requests of a peer may be worked on."""
+
+_LOOK: Final = 0.2
+"""How often it is looked whether a shared sensor is lost, in seconds."""
+
+_NOT_DONE = (
+    RefusedError,
+    UnknownNameError,
+    BusyError,
+    CircularRequestError,
+    StoppingError,
+)
+"""What says of a request that nothing was done."""
+
+
+_ABSENT = DeviceLostError, ResourceRemovedError, NotRegisteredError, StoppingError
+"""What says of an actuator that nobody has it here."""
+
+
+@attrs.frozen
+class Share:
+    """What a peer may use.
+
+    Attributes:
+        name: The sensor, actuator or behavior.
+        access: Whether it is read, written or asked.
+        priority: With which priority an actuator is written.
+        rate: How often a reading is sent at most, in Hz.
+    """
+
+    name: str
+    access: Literal["read", "write", "ask"]
+    priority: int = 0
+    rate: float = 20.0
+
+
+class Sharing(Behavior):
+    """What a peer may do here. It has the name of the peer: so ``why`` tells who writes.
+
+    Nothing is shared that is not named. Its ports are registered like those of any
+    behavior: policies, limits, guards and the time-out of commands hold for the peer.
+    A command that echoes a beat older than the actuator's ``command_timeout``, by the
+    clock of this robot, is refused. Without the peer nothing is written.
+
+    Args:
+        bus: The bus to the peer.
+        shares: What it may use.
+    """
+
+    def __init__(self, *, bus: PeerBus, shares: Iterable[Share]) -> None:
+        self.shares: dict[str, Share] = {each.name: each for each in shares}
+        for each in self.shares.values():
+            if not 0.0 < each.rate <= 1000.0:
+                told = (
+                    f"expected more than 0 and at most 1000 Hz, not {each.rate!r:.80}"
+                )
+                raise ConfigError(each.name, "rate", told)
+        super().__init__(
+            name=bus.name,
+            reads={
+                f"the_{each.name}": reads(Any, name=each.name)
+                for each in self.shares.values()
+                if each.access == "read"
+            },
+            writes={
+                f"the_{each.name}": writes(
+                    Any, name=each.name, priority=each.priority, blind="release"
+                )
+                for each in self.shares.values()
+                if each.access == "write"
+            },
+        )
+        self.bus = bus
+
+    async def setup(self) -> None:
+        """Take what the peer says from now on."""
+        self._feeds: dict[str, asyncio.Task[None]] = {}
+        self._told: dict[str, bool] = {}
+        self._asks: dict[int, asyncio.Task[None]] = {}
+        self._orders: asyncio.Queue[tuple[Any, ...]] = asyncio.Queue(64)
+        self._commands: dict[str, asyncio.Queue[tuple[Any, ...]]] = {
+            name: asyncio.Queue(_WAITING)
+            for name, each in self.shares.items()
+            if each.access == "write"
+        }
+        # It comes in by the door, and is kept: a recording repeats without a network.
+        news = News(asyncio.get_running_loop(), ("peer", self.name), self._sort)
+        self.bus.serve(news.tell)
+
+    async def teardown(self) -> None:
+        """Take no more."""
+        self.bus.serve(None)
+
+    def _sort(self, what: str, since: float, body: bytes) -> None:
+        """Take what came in: it is sorted, and nothing of it has any effect yet."""
+        parts = () if what == "lost" else self.bus.parts(what, body)
+        if parts is None:
+            return
+        queue = self._orders
+        if what in {"write", "release"}:
+            queue = self._commands.get(parts[1], queue)
+        try:
+            queue.put_nowait((what, since, *parts))
+        except asyncio.QueueFull:
+            self.bus.stats.dropped += 1
+            if what in {"write", "release", "ask"}:
+                self._refuse(parts[0], "too much of this peer waits")
+
+    async def run(self) -> None:
+        """Do what the peer asks for."""
+        async with asyncio.TaskGroup() as tasks:
+            for name, queue in self._commands.items():
+                tasks.create_task(self._write(getattr(self, f"the_{name}"), queue))
+            tasks.create_task(self._look())
+            while True:
+                what, since, *parts = await self._orders.get()
+                if what == "follow":
+                    self._follow(tasks, parts[0])
+                elif what == "ask":
+                    self._begin(tasks, since, *parts)
+                elif what == "cancel":
+                    if parts[0] in self._asks:
+                        self._asks[parts[0]].cancel()
+                elif what == "lost":
+                    for task in (*self._feeds.values(), *self._asks.values()):
+                        task.cancel()
+                    self._feeds.clear()
+                else:
+                    self._not_shared(parts[0], parts[1])
+
+    # Answers.
+
+    def _answer(self, number: int, how: str, value: Any) -> None:
+        try:
+            self.bus.say("answer", number, how, value)
+        except BadValueError as error:
+            self.bus.say("answer", number, "failed", describe(error))
+
+    def _refuse(self, number: int, rule: str) -> None:
+        self._answer(number, "refused", (self.name, 0, rule, 0.0, None))
+
+    def _not_shared(self, number: int, name: str) -> None:
+        self._answer(number, "lost", f"{name!r} is not shared with {self.name!r}")
+
+    # Actuators.
+
+    async def _write(self, port: Any, queue: asyncio.Queue[tuple[Any, ...]]) -> None:
+        while True:
+            what, since, number, _, *rest = await queue.get()
+            if what == "release":
+                port.release()
+                self._answer(number, "written", None)
+                continue
+            age, limit = now() - since, port.command_timeout
+            if age > limit:
+                self.bus.stats.refused += 1
+                told = "it has heard no beat" if age == math.inf else f"{age:.3g} s old"
+                self._refuse(
+                    number,
+                    f"the newest beat that {self.name} had heard was {told}: "
+                    f"command_timeout is {limit:g} s",
+                )
+                continue
+            try:
+                written = await port.write(rest[0])
+            except _ABSENT as error:
+                self._answer(number, "lost", describe(error))
+            except EsairError as error:
+                self._answer(number, "failed", describe(error))
+            else:
+                self._tell(number, written)
+
+    def _tell(self, number: int, written: Any) -> None:
+        if not isinstance(written, Refused):
+            self._answer(number, "written", written.command)
+            return
+        moment, until = now(), written.until
+        left = None if until is None else float(until - moment)
+        age = float(max(0.0, moment - written.since))
+        told = (written.holder, written.priority, written.rule, age, left)
+        self._answer(number, "refused", told)
+
+    # Sensors.
+
+    def _follow(self, tasks: asyncio.TaskGroup, wanted: dict[Any, Any]) -> None:
+        """Send the readings that the peer wants, and no others."""
+        for name, task in list(self._feeds.items()):
+            if name not in wanted:
+                task.cancel()
+                del self._feeds[name]
+        for name, rate in wanted.items():
+            share = self.shares.get(name)
+            good = type(rate) is float and 0.0 < rate < math.inf
+            if share is None or share.access != "read" or not good:
+                told = f"{name!r:.80} is not shared with {self.name!r}"
+                self.bus.say("gone", str(name), told)
+            elif name not in self._feeds:
+                pause = 1.0 / min(rate, share.rate)
+                self._feeds[name] = tasks.create_task(self._feed(name, pause))
+
+    async def _feed(self, name: str, pause: float) -> None:
+        port = getattr(self, f"the_{name}")
+        self._told.pop(name, None)
+        self._tell_state(name)
+        try:
+            newest = port.newest
+            self._send(name, newest)
+        except EsairError:
+            pass  # it is sent when there is one
+        try:
+            async for _ in port:
+                self._send(name, port.newest)
+                await asyncio.sleep(pause)
+        except EsairError as error:
+            self.bus.say("gone", name, describe(error))
+            self._feeds.pop(name, None)
+
+    def _send(self, name: str, reading: Any) -> None:
+        age = float(max(0.0, now() - reading.time))
+        self.bus.say("reading", name, age, reading.value)
+
+    def _tell_state(self, name: str) -> None:
+        is_there = self._is_there(name)
+        if self._told.get(name) is not is_there:
+            self._told[name] = is_there
+            told = "" if is_there else f"{name!r} is lost there"
+            self.bus.say("gone", name, told)
+
+    def _is_there(self, name: str) -> bool:
+        port = getattr(self, f"the_{name}")
+        return bool(port.state is ResourceState.READY)
+
+    async def _look(self) -> None:
+        lost: set[str] = set()
+        while True:
+            for name in self._feeds:
+                self._tell_state(name)
+            gone = {name for name in self._commands if not self._is_there(name)}
+            if lost - gone:
+                self.bus.say("ready")
+            lost = gone
+            await asyncio.sleep(_LOOK)
+
+    # Behaviors.
+
+    def _begin(
+        self,
+        tasks: asyncio.TaskGroup,
+        since: float,
+        number: int,
+        name: str,
+        request: object,
+    ) -> None:
+        share = self.shares.get(name)
+        if share is None or share.access != "ask":
+            told = f"{name!r:.80} is not shared with {self.name!r}"
+        elif not isinstance(request, Request):
+            told = f"expected a request, not {type(request).__name__}"
+        elif now() - since > SILENCE:
+            self.bus.stats.refused += 1
+            told = "it is from before a gap"
+        elif len(self._asks) >= _ASKS:
+            told = "too many requests of this peer are under way"
+        elif number in self._asks:
+            return
+        else:
+            task = tasks.create_task(self._work(number, name, request))
+            self._asks[number] = task
+            task.add_done_callback(lambda _: self._asks.pop(number, None))
+            return
+        self._answer(number, "declined", told)
+
+    async def _work(self, number: int, name: str, request: Request[Any]) -> None:
+        def progress(value: Any) -> None:
+            self.bus.say("progress", number, value)
+
+        try:
+            answer = await self.ask(name, request, timeout=None, progress=progress)
+        except _NOT_DONE as error:
+            told = error.reason if isinstance(error, RefusedError) else describe(error)
+            self._answer(number, "declined", told)
+        except Exception as error:
+            self._answer(number, "failed", describe(error))
+        else:
+            self._answer(number, "answered", answer)

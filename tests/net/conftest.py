@@ -1,0 +1,42 @@
+"""What the tests of the network have in common."""
+
+from __future__ import annotations
+
+import functools
+import json
+import threading
+
+import pytest
+from tests.net.parts import free_port
+
+from esair.buses.peer import Network
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Let zenoh have its threads before it is looked at what a test leaves behind."""
+    if item.path.stem == "test_zenoh":
+        speak_once()
+
+
+@functools.cache
+def speak_once() -> None:
+    """Zenoh keeps its threads for ever, once two sessions have spoken with each other."""
+    import zenoh
+
+    end, sessions = f"tcp/127.0.0.1:{free_port()}", []
+    for network in (
+        Network(me="one", peers=["other"], listen=[end]),
+        Network(me="other", peers=["one"], connect=[end]),
+    ):
+        config = zenoh.Config()
+        for key, value in network.settings():
+            config.insert_json5(key, json.dumps(value))
+        sessions.append(zenoh.open(config))
+    heard = threading.Event()
+    subscriber = sessions[0].declare_subscriber("warm", lambda _: heard.set())
+    while not heard.wait(0.02):
+        sessions[1].put("warm", b"")
+    subscriber.undeclare()
+    for session in sessions:
+        session.close()

@@ -1,0 +1,227 @@
+"""Nothing from before a gap, a pause or a restart ever moves anything."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from typing import Any
+
+import pytest
+from tests.net.parts import STILL, Dock, Hand, Pair, Twist
+
+import esair
+from esair.buses.peer import Head, PeerBus, packed
+
+pytestmark = pytest.mark.virtual_clock
+
+TIMEOUT = 0.2
+
+
+class Driving(esair.Behavior):
+    """Writes when it decided, fifty times a second, whatever becomes of it."""
+
+    wheels = esair.writes(Twist, name="far_wheels")
+
+    async def run(self) -> None:
+        loop = asyncio.get_running_loop()
+        self.answers: list[Any] = []
+        while True:
+            try:
+                command = Twist(loop.time(), 1.0)
+                self.answers.append(await self.wheels.write(command))
+            except esair.EsairError as error:
+                self.answers.append(error)
+            await asyncio.sleep(0.02)
+
+
+def listen(robot: esair.Robot) -> list[tuple[float, Any]]:
+    """Keep when the wheels were told what."""
+    sent: list[tuple[float, Any]] = []
+
+    def heard(event: Any) -> None:
+        if event.kind.value in {"sent", "safe"} and event.component == "wheels":
+            sent.append((event.time, event.value))
+
+    robot.journal.listen(heard)
+    return sent
+
+
+@pytest.mark.promise("NET-4", "NET-3")
+@pytest.mark.parametrize(
+    "seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 30))]
+)
+async def test_cuts(seed: int) -> None:
+    """Whatever is cut, for however long: no old command, safe in time, back by itself."""
+    chance = random.Random(seed)
+    pair = Pair(delay=chance.choice([0.0, 0.003, 0.03]), loss=chance.choice([0.0, 0.1]))
+    loop = asyncio.get_running_loop()
+    async with pair.both(Driving()) as (base, _):
+        sent = listen(base)
+        for _ in range(4):
+            await asyncio.sleep(0.5)
+            begin = loop.time()
+            pair.network.cut(*chance.choice([(), ("base",), ("rover",)]), keep=True)
+            length = 0.1 * 100 ** chance.random()
+            await asyncio.sleep(length)
+            if length > TIMEOUT + 0.1:
+                assert base.resources.query("wheels")
+                assert sent[-1][1] == STILL
+                assert sent[-1][0] <= begin + TIMEOUT + 0.05 + pair.network.delay
+            healed = loop.time()
+            pair.network.heal()
+            await asyncio.sleep(0.6)
+            fresh = [at for at, told in sent if at > healed and told != STILL]
+            assert fresh
+            assert fresh[0] - healed < 0.5
+        old = [at - told.linear for at, told in sent if told != STILL]
+        assert len(old) > 50
+        assert max(old) <= TIMEOUT + pair.network.delay + 0.001
+
+
+@pytest.mark.promise("NET-4")
+async def test_the_owner_refuses_by_its_own_clock() -> None:
+    """A command whose beat is old, of another run, or none at all moves nothing."""
+    pair = Pair()
+    async with pair.both() as (_base, _):
+        bus, loop = pair.to_rover, asyncio.get_running_loop()
+        run, beat = bus._its_run, bus._its_beat
+        mine, newest = bus._run, bus._beats
+
+        async def told(echo_run: int, echo: int) -> int:
+            head = Head(run, beat, echo_run, echo, 0.0)
+            data = packed(head, (1, "wheels", Twist(0.5, 0.0)), bus.kinds)
+            before = len(pair.wheels.commands)
+            pair.network.inject("rover", "base", "write", data)
+            await asyncio.sleep(0.01)
+            return len(pair.wheels.commands) - before
+
+        assert await told(mine, newest) == 1
+        await asyncio.sleep(TIMEOUT + 0.06)  # the dead man
+        refused = bus.stats.refused
+        assert await told(mine, newest) == 0  # it was good, and is too old now
+        assert await told(mine + 1, bus._beats) == 0
+        assert await told(mine, bus._beats + 5) == 0
+        assert bus.stats.refused == refused + 3
+        assert loop.time() > 0
+
+
+@pytest.mark.promise("NET-4")
+async def test_what_waits_behind_a_write_does_not_leave_after_a_gap() -> None:
+    """A second command waits while the first has no answer; a gap ends both."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand) as (base, _rover):
+        sent = listen(base)
+        pair.network.cut("base", keep=True)
+        first = asyncio.ensure_future(hand.wheels.write(Twist(0.1, 0.0)))
+        await asyncio.sleep(0.01)
+        second = asyncio.ensure_future(hand.wheels.write(Twist(0.2, 0.0)))
+        await asyncio.sleep(0.4)  # less than what makes the peer lost
+        pair.network.heal()
+        done = await asyncio.gather(first, second, return_exceptions=True)
+
+        assert not any(isinstance(each, esair.Written) for each in done), done
+        await asyncio.sleep(0.5)
+        assert [told for _, told in sent if told != STILL] == []
+        assert await hand.wheels.write(Twist(0.3, 0.0))
+
+
+@pytest.mark.promise("NET-3")
+async def test_a_lost_peer_is_known_in_time_and_comes_back() -> None:
+    """Its parts are LOST within 1.3 s of its silence, and READY again by themselves."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand) as (_base, rover):
+        pair.sonar.feed(0.7)
+        await asyncio.sleep(0.1)
+        pair.network.cut("base")
+        await asyncio.sleep(1.3)
+        for name in ("base", "far_sonar", "far_wheels"):
+            state = rover.resources.query(name).state
+            assert state is not esair.ResourceState.READY, name
+        with pytest.raises(esair.DeviceLostError, match="no beat"):
+            await hand.sonar.read()
+        await asyncio.sleep(10.0)
+        pair.network.heal()
+        await asyncio.sleep(0.3)
+        for name in ("base", "far_sonar", "far_wheels"):
+            state = rover.resources.query(name).state
+            assert state is esair.ResourceState.READY, name
+        assert await hand.sonar.read() == 0.7
+
+
+@pytest.mark.promise("NET-4", "NET-3")
+async def test_a_restarted_owner_moves_by_nothing_from_before() -> None:
+    """The user stays; the owner is another run, and hears fresh commands alone."""
+    pair, driving = Pair(), Driving()
+    async with pair.rover(driving):
+        async with pair.base():
+            await asyncio.sleep(1.0)
+        again = Pair()
+        again.network = pair.network
+        again.to_rover = PeerBus(name="rover", network=pair.network.of("base"))
+        again.to_rover.declare(Twist)
+        base = again.base()
+        async with base:
+            sent = listen(base)
+            await asyncio.sleep(1.0)
+            moved = [(at, told) for at, told in sent if told != STILL]
+            assert moved
+            assert max(at - told.linear for at, told in moved) < TIMEOUT
+
+
+class Measuring(esair.Sensor[float]):
+    """Measures when it does so."""
+
+    async def read(self) -> float:
+        return asyncio.get_running_loop().time()
+
+
+@pytest.mark.promise("NET-2")
+@pytest.mark.parametrize("delay", [0.0, 0.05, 0.3])
+async def test_no_reading_is_called_younger_than_it_is(delay: float) -> None:
+    """Its time is never after its measurement; on a quick way it is hardly before it."""
+    pair, hand = Pair(delay=delay), Hand()
+    pair.sonar = Measuring(name="sonar", rate=27.0)
+    async with pair.both(hand):
+        await asyncio.sleep(2.0)
+        for _ in range(20):
+            await asyncio.sleep(0.0371 + delay)
+            reading = await hand.sonar.reading(max_age=60.0)
+            assert reading.time <= reading.value + 1e-9
+            assert reading.value - reading.time <= delay + 1e-3
+
+
+@pytest.mark.promise("NET-3")
+async def test_a_request_whose_answer_is_lost_is_not_known() -> None:
+    """It may have been done: it ends by a name of its own, and is not done twice."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand):
+        asked = asyncio.ensure_future(hand.ask("far_docking", Dock(2), timeout=None))
+        await asyncio.sleep(0.1)
+        pair.network.cut("base")
+        with pytest.raises(esair.OutcomeUnknownError, match="far_docking"):
+            await asked
+        await asyncio.sleep(0.3)
+        assert pair.docking.cancelled == 1  # who asked is gone
+        with pytest.raises(esair.RefusedError, match="not there"):
+            await hand.ask("far_docking", Dock(3))
+        pair.network.heal()
+        pair.docking.go.set()
+        await asyncio.sleep(1.0)
+        assert await hand.ask("far_docking", Dock(4))
+        assert pair.docking.begun == [2, 4]
+
+
+async def test_each_request_has_its_one_outcome() -> None:
+    """Answered, refused, failed; withdrawn ends the work there."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand):
+        with pytest.raises(esair.BehaviorUnavailableError):
+            await hand.ask("far_docking", Dock(1), timeout=0.2)
+        await asyncio.sleep(0.05)
+        assert pair.docking.cancelled == 1
+        pair.docking.go.set()
+        with pytest.raises(esair.RefusedError, match="no such bay"):
+            await hand.ask("far_docking", Dock(-1))
+        with pytest.raises(esair.BehaviorFailedError, match="bay 0"):
+            await hand.ask("far_docking", Dock(0))
+        assert pair.docking.begun == [1, -1, 0]

@@ -1,0 +1,42 @@
+"""A remote sensor and a remote actuator are used like local ones."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from tests.net.parts import STILL, Dock, Docked, Hand, Pair, Twist
+
+import esair
+
+pytestmark = pytest.mark.virtual_clock
+
+
+@pytest.mark.promise("NET-2")
+async def test_a_remote_part_is_read_and_written_by_its_local_name() -> None:
+    """Value, type and state of the owner's part; the holder has the peer's name."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand) as (base, rover):
+        pair.sonar.feed(0.7)
+        await asyncio.sleep(0.2)
+        assert await hand.sonar.read() == 0.7
+
+        written = await hand.wheels.write(Twist(0.3, 0.0))
+
+        assert written
+        assert written.command == Twist(0.3, 0.0)
+        assert pair.wheels.commands[-1] == Twist(0.3, 0.0)
+        why = base.resources.why("wheels")
+        assert (why.holder, why.priority) == ("rover", 5)
+        assert rover.resources.query("far_wheels").state is esair.ResourceState.READY
+    assert pair.wheels.commands[-1] == STILL
+
+
+async def test_ask() -> None:
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand) as (_base, _rover):
+        pair.docking.go.set()
+        news: list[object] = []
+        answer = await hand.ask("far_docking", Dock(2), progress=news.append)
+        assert answer == Docked(2)
+        assert news == [0.5]

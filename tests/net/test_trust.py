@@ -1,0 +1,204 @@
+"""Who may what: nothing is shared unless named, and whatever bytes arrive only counters move."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tests.net.parts import STILL, Dock, Hand, Pair, Twist
+
+import esair
+from esair.buses.peer import FORMS, Head, Network, PeerBus, Tls, packed, parts_of
+from esair.codec import CodecError, Kinds
+from esair.drivers.peer import PeerActuator, PeerSensor
+from esair.peers import Share
+
+pytestmark = pytest.mark.virtual_clock
+
+
+class Captain(esair.Behavior):
+    """Drives at home."""
+
+    wheels = esair.writes(Twist, priority=9)
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.05):
+            await self.wheels.write(Twist(0.9, 0.0))
+
+
+@pytest.mark.promise("NET-1")
+async def test_nothing_is_shared_unless_named() -> None:
+    """What has no share is lost to the peer, or refused, whatever it asks for."""
+    pair, hand = Pair(), Hand()
+    pair.shares = []
+    async with pair.both(hand) as (base, rover):
+        pair.sonar.feed(0.7)
+        await asyncio.sleep(2.0)
+        for name in ("far_sonar", "far_wheels"):
+            status = rover.resources.query(name)
+            assert status.state is not esair.ResourceState.READY
+            assert "not shared with 'rover'" in str(status.error)
+        with pytest.raises(esair.RefusedError, match="not shared with 'rover'"):
+            await hand.ask("far_docking", Dock(2))
+        assert base.resources.why("wheels").holder is None
+    assert set(pair.wheels.commands) == {STILL}
+
+
+@pytest.mark.promise("NET-5")
+async def test_a_peer_has_the_priority_of_its_share_and_no_more() -> None:
+    """Who has more at home keeps the actuator, and is named to the peer."""
+    pair, hand = Pair(priority=5), Hand()
+    async with pair.base(Captain()) as base, pair.rover(hand):
+        await asyncio.sleep(0.5)
+        refused = await hand.wheels.write(Twist(0.1, 0.0))
+        assert isinstance(refused, esair.Refused)
+        assert (refused.holder, refused.priority) == ("base:captain", 9)
+        assert Twist(0.1, 0.0) not in pair.wheels.commands
+        await base.behaviors.remove("captain")
+        await asyncio.sleep(0.3)
+        assert await hand.wheels.write(Twist(0.1, 0.0))
+
+
+@pytest.mark.promise("NET-5")
+async def test_a_share_that_is_revoked_is_void_at_once() -> None:
+    """Without the peer's behavior nothing of the peer gets in, not even what was fresh."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand) as (base, _rover):
+        assert await hand.wheels.write(Twist(0.1, 0.0))
+        await base.behaviors.remove("rover")
+        count = len(pair.wheels.commands)
+        with pytest.raises(esair.DeviceLostError, match="shares nothing now"):
+            await hand.wheels.write(Twist(0.2, 0.0))
+        await asyncio.sleep(0.5)
+        assert set(pair.wheels.commands[count:]) <= {STILL}
+
+
+@pytest.mark.promise("NET-5")
+async def test_policies_hold_for_a_peer() -> None:
+    """What a policy denies to the peer's name stops the owner from starting."""
+    pair = Pair()
+    policy = esair.Policy("wheels", allow={"*": esair.Access.READ})
+    with pytest.raises(ExceptionGroup) as caught:
+        async with pair.base(policies=[policy]):
+            pass
+    assert "rover" in str(caught.value.exceptions[0])
+
+
+async def test_letting_go_is_no_command() -> None:
+    """A peer that writes nothing stops nobody: connected, idle, lost or ended."""
+    pair = Pair(priority=20)
+    async with pair.base(Captain()):
+        await asyncio.sleep(0.5)
+        count = len(pair.wheels.commands)
+        async with pair.rover():
+            await asyncio.sleep(1.0)
+        await asyncio.sleep(0.5)
+        assert set(pair.wheels.commands[count:]) == {Twist(0.9, 0.0)}
+
+
+@pytest.mark.parametrize(
+    "messages", [400, pytest.param(10_000, marks=pytest.mark.long)]
+)
+async def test_whatever_arrives_only_counters_move(messages: int) -> None:
+    """Damaged, cut, made up: no command, no request, no crash; and it works on."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand) as (base, _):
+        await hand.wheels.write(Twist(0.1, 0.0))
+        await asyncio.sleep(0.5)
+        said = [each for each in pair.network.log if each[0] == "rover"]
+        count, chance = len(pair.wheels.commands), random.Random(1)
+        begun = list(pair.docking.begun)
+        for number in range(messages):
+            _, _, what, data = chance.choice(said)
+            bad = bytearray(data)
+            for _ in range(chance.randrange(1, 6)):
+                bad[chance.randrange(len(bad))] = chance.randrange(256)
+            cut = chance.choice([len(bad), chance.randrange(len(bad)), len(bad)])
+            kind = chance.choice([what, what, *FORMS, "no such thing", ""])
+            # Of another run: what is damaged there may not end this conversation.
+            bad[0:8] = data[0:8]
+            if kind == "bye":
+                continue
+            pair.network.inject("rover", "base", kind, bytes(bad[:cut]))
+            if number % 100 == 0:
+                await asyncio.sleep(0.01)
+        await asyncio.sleep(0.5)
+        assert set(pair.wheels.commands[count:]) <= {STILL, Twist(0.1, 0.0)}
+        assert pair.docking.begun == begun
+        stats = pair.to_rover.stats
+        assert stats.bad_frames + stats.refused > messages // 10
+        assert base.behaviors.query("rover").restarts == 0
+        assert await hand.wheels.write(Twist(0.2, 0.0))
+
+
+def test_nothing_is_made_of_bytes_that_was_not_declared() -> None:
+    """A class that no part of the robot declares is an error, never imported."""
+    theirs, mine = Kinds([Twist]), Kinds()
+    data = packed(Head(1, 1, 1, 1, 0.0), (1, "wheels", Twist(0.1, 0.2)), theirs)[40:]
+    assert parts_of("write", data, theirs)[2] == Twist(0.1, 0.2)
+    with pytest.raises(CodecError):
+        parts_of("write", data, mine)
+    with pytest.raises(CodecError, match="expected 3 parts"):
+        parts_of("write", packed(Head(1, 1, 1, 1, 0.0), (1,), mine)[40:], mine)
+
+
+@pytest.mark.promise("NET-1")
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({}, "expected endpoints"),
+        ({"listen": ["tcp/0.0.0.0:7447"]}, "insecure = true"),
+        ({"connect": ["tcp/192.168.1.5:7447"]}, "insecure = true"),
+        ({"connect": ["tls/192.168.1.5:7447"]}, "tls needs certificates"),
+        ({"listen": ["udp/127.0.0.1:7447"]}, "expected 'tcp/HOST:PORT'"),
+        ({"listen": ["tcp/127.0.0.1:0"]}, "expected 'tcp/HOST:PORT'"),
+        (
+            {
+                "listen": ["tcp/127.0.0.1:1"],
+                "tls": Tls(Path("a"), Path("b"), Path("c")),
+            },
+            "begins with tls/",
+        ),
+    ],
+)
+def test_endpoints_are_explicit_and_safe(given: dict[str, object], told: str) -> None:
+    """Beyond this machine there are certificates, or a loud word."""
+    with pytest.raises(esair.ConfigError, match=told):
+        Network(me="base", peers=["rover"], **given)  # type: ignore[arg-type]
+
+
+def test_the_loud_word() -> None:
+    """Somebody who wants it gets it."""
+    network = Network(me="base", listen=["tcp/0.0.0.0:7447"], insecure=True)
+    assert network.insecure
+    with pytest.raises(esair.ConfigError, match="no peer of itself"):
+        PeerBus(name="base", network=network)
+    bus = PeerBus(name="rover", network=network)
+    with pytest.raises(esair.ConfigError, match="link_rate"):
+        PeerSensor(name="sonar", bus=bus, link_rate=0.0)
+    assert PeerActuator(name="wheels", bus=bus, type="float").value_type is float
+    assert Share("wheels", "write").priority == 0
+
+
+@pytest.mark.promise("NET-1")
+@pytest.mark.real_clock
+def test_without_a_network_nothing_of_it_is_imported(tmp_path: Path) -> None:
+    """Neither zenoh nor the rooms of peers, by a robot of a script or of a file."""
+    (tmp_path / "robot.toml").write_text('[robot]\nname = "rover"\n')
+    code = (
+        "import sys, esair\n"
+        "esair.run(esair.Robot.from_config('robot.toml'), duration=0.01)\n"
+        "print([each for each in sys.modules if 'peer' in each or 'zenoh' in each])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout == "[]\n", done.stderr

@@ -1,0 +1,167 @@
+"""The same over zenoh itself, on this machine: TCP, TLS, and who is kept out."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+import statistics
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.net.parts import Dock, Docking, Hand, Pair, Twist, free_port
+
+import esair
+from esair.buses.peer import Network, PeerBus, Tls
+
+pytest.importorskip("zenoh")
+pytestmark = [pytest.mark.real_clock, pytest.mark.xdist_group("zenoh")]
+
+
+def over(pair: Pair, base: Network, rover: Network) -> Pair:
+    """Put a pair on a network of its own."""
+    pair.to_rover = PeerBus(name="rover", network=base)
+    for kind in (Twist, Docking):
+        pair.to_rover.declare(kind)
+    pair.to_base = PeerBus(name="base", network=rover)
+    return pair
+
+
+def on_tcp() -> Pair:
+    end = f"tcp/127.0.0.1:{free_port()}"
+    base = Network(me="base", peers=["rover"], listen=[end])
+    return over(Pair(), base, Network(me="rover", peers=["base"], connect=[end]))
+
+
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Certificates of one authority, one that is over, and those of another one."""
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not there to make certificates")
+    folder = tmp_path_factory.mktemp("certificates")
+
+    def openssl(*arguments: str) -> None:
+        done = subprocess.run(
+            ["openssl", *arguments], cwd=folder, capture_output=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+
+    curve = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes")
+    for authority in ("ca", "other"):
+        openssl(
+            *("req", "-x509", *curve, "-days", "9", "-subj", f"/CN={authority}"),
+            *("-keyout", f"{authority}.key", "-out", f"{authority}.pem"),
+        )
+    (folder / "names").write_text("subjectAltName=IP:127.0.0.1,DNS:localhost\n")
+    for name, authority, days in (
+        *(("base", "ca", 9), ("rover", "ca", 9), ("thief", "ca", 9)),
+        ("rover", "other", 9),
+    ):
+        file = name if authority == "ca" else f"{authority}-{name}"
+        openssl(
+            *("req", *curve, "-subj", f"/CN={name}"),
+            *("-keyout", f"{file}.key", "-out", f"{file}.csr"),
+        )
+        openssl(
+            *("x509", "-req", "-in", f"{file}.csr", "-CA", f"{authority}.pem"),
+            *("-CAkey", f"{authority}.key", "-CAcreateserial", "-days", str(days)),
+            *("-extfile", "names", "-out", f"{file}.pem"),
+        )
+    return folder
+
+
+def tls(folder: Path, file: str) -> Tls:
+    return Tls(folder / "ca.pem", folder / f"{file}.pem", folder / f"{file}.key")
+
+
+async def ready(robot: esair.Robot, name: str, within: float) -> bool:
+    end = time.monotonic() + within
+    while robot.resources.query(name).state is not esair.ResourceState.READY:
+        if time.monotonic() > end:
+            return False
+        await asyncio.sleep(0.01)
+    return True
+
+
+async def use(pair: Pair, hand: Hand, rover: Any, writes: int = 20) -> float:
+    """Use everything of the peer; return how long a write and its answer take."""
+    assert await ready(rover, "far_wheels", 3.0), rover.resources.query("base").error
+    assert await ready(rover, "far_sonar", 3.0)
+    pair.docking.go.set()
+    assert (await hand.ask("far_docking", Dock(2))).bay == 2
+    took = []
+    for number in range(writes):
+        begun = time.perf_counter()
+        assert await hand.wheels.write(Twist(0.01 * number, 0.0))
+        took.append(time.perf_counter() - begun)
+        await asyncio.sleep(0.002)
+    assert pair.wheels.commands[-1] == Twist(0.01 * (writes - 1), 0.0)
+    return statistics.median(took)
+
+
+@pytest.mark.promise("NET-2")
+async def test_tcp() -> None:
+    """Sensor, actuator and behavior of a peer on this machine."""
+    pair, hand = on_tcp(), Hand()
+    async with pair.base(), pair.rover(hand) as rover:
+        await use(pair, hand, rover)
+
+
+@pytest.mark.promise("NET-3")
+async def test_the_owner_comes_later_and_again() -> None:
+    """The network is there before the peer; a session that was closed is opened again."""
+    pair, hand = on_tcp(), Hand()
+    async with pair.rover(hand) as rover:
+        for _ in range(2):
+            async with pair.base():
+                await use(pair, hand, rover, 3)
+            again = Pair()
+            again.network, pair.wheels, pair.sonar = (
+                pair.network,
+                again.wheels,
+                again.sonar,
+            )
+            pair.docking = again.docking
+            bus = PeerBus(name="rover", network=pair.to_rover.network)
+            for kind in (Twist, Docking):
+                bus.declare(kind)
+            pair.to_rover = bus
+
+
+@pytest.mark.promise("NET-1", "NET-5")
+async def test_tls(certificates: Path) -> None:
+    """With certificates of one authority everything is as without."""
+    end = f"tls/127.0.0.1:{free_port()}"
+    base = Network(
+        me="base", peers=["rover"], listen=[end], tls=tls(certificates, "base")
+    )
+    rover = Network(
+        me="rover", peers=["base"], connect=[end], tls=tls(certificates, "rover")
+    )
+    pair, hand = over(Pair(), base, rover), Hand()
+    async with pair.base(), pair.rover(hand) as robot:
+        await use(pair, hand, robot)
+
+
+@pytest.mark.promise("NET-5")
+@pytest.mark.parametrize("who", ["thief", "other-rover", "nobody"])
+async def test_who_has_not_the_certificate_is_not_heard(
+    certificates: Path, who: str
+) -> None:
+    """Another robot of the authority, another authority, none: nothing gets in."""
+    end = f"tls/127.0.0.1:{free_port()}"
+    mine = tls(certificates, "base")
+    base = Network(me="base", peers=["rover"], listen=[end], tls=mine)
+    file = "rover" if who == "nobody" else who
+    rover = Network(
+        me="rover", peers=["base"], connect=[end], tls=tls(certificates, file)
+    )
+    if who == "nobody":
+        rover = Network(me="rover", peers=["base"], connect=[end.replace("tls", "tcp")])
+    pair, hand = over(Pair(), base, rover), Hand()
+    async with pair.base(), pair.rover(hand) as robot:
+        assert not await ready(robot, "far_wheels", 0.7)
+        assert pair.to_rover.stats.received == 0
+        assert pair.to_base.stats.received == 0
