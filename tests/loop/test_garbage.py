@@ -104,10 +104,11 @@ class Beat(esair.Behavior):
 
 class Litter(esair.Behavior):
     {define} run(self):
-        time.sleep(0.3)  # so that the robot runs
+        {up}  # so that the robot runs
         gc.callbacks.append(see)
         alive = collections.deque(maxlen=ALIVE)
         start, most, made, begin = resident(), 0, 0, time.monotonic()
+        looked = 0
         while made < RATE * SECONDS:
             due = min(time.monotonic() - begin, SECONDS) * RATE
             while made < due:
@@ -115,7 +116,8 @@ class Litter(esair.Behavior):
                 circle.append(circle)
                 alive.append(circle)
                 made += 1
-            most = max(most, resident())
+            if made - looked > 2_000:  # a look takes as long as many circles
+                most, looked = max(most, resident()), made
             {pause}
         print(json.dumps(dict(start=start, most=most, longest=longest, made=made,
               freed=sum(each["collected"] for each in gc.get_stats()),
@@ -137,8 +139,9 @@ HOW = {
 def litter(how: str, rate: int, seconds: float, alive: int) -> dict[str, Any]:
     """Run a robot in whose process circles become garbage; return what was seen."""
     define, pause = HOW[how]
+    up = "time.sleep(0.3)" if define == "def" else "await asyncio.sleep(0.3)"
     code = LITTER.format(
-        rate=rate, seconds=seconds, alive=alive, define=define, pause=pause
+        rate=rate, seconds=seconds, alive=alive, define=define, pause=pause, up=up
     )
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(code)],

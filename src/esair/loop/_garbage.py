@@ -31,7 +31,7 @@ What has been kept and takes longer to look at is set aside.
 PAUSE = 0.02
 """How much is let come at most: what takes this long to collect, in seconds of CPU time."""
 
-FEW = 100_000  # by how many blocks of memory it may grow without a look at all
+FEW = 30_000  # by how many blocks of memory it may grow without a look at all
 
 _BLOCKS = 4  # of memory, that an object takes which the collector knows, roughly
 _FEW_OBJECTS = 20_000  # what may come in any program, however small it is
@@ -62,7 +62,7 @@ class Collector:
         self._before_all = 0  # how many blocks of memory there were before the robot,
         self._known = 0  # and how many more when all was looked at
         self._looks_at_all = False
-        self._each = _USUAL
+        self._each = self._each_of_many = _USUAL
         self._kept = 0.0  # what it takes to look at what was kept, in seconds
         self._ended_young = 0  # what the interpreter has collected until the last time
         self._is_ours = False
@@ -113,7 +113,8 @@ class Collector:
 
     def _know_nothing(self) -> None:
         self._before_all, self._known = sys.getallocatedblocks(), 0
-        self._each, self._kept, self._looks_at_all = _USUAL, 0.0, False
+        self._each = self._each_of_many = _USUAL
+        self._kept, self._looks_at_all = 0.0, False
 
     def reset(self) -> None:
         """Count from nothing."""
@@ -161,7 +162,7 @@ class Collector:
             gc.unfreeze()
         collected = gc.collect()
         took = time.thread_time() - began
-        self._learn(took, came, collected)
+        self._learn(took, came, collected, forced=forced)
         if at_all:
             self._set_aside(at_all=True)
         elif took > LONG and took > 1.5 * expected:
@@ -187,18 +188,24 @@ class Collector:
             return
         took, collected = time.thread_time() - self._began, info["collected"]
         came = self._came
-        self._learn(took, came, collected)
+        self._learn(took, came, collected, forced=True)
         self._count(took, collected, forced=True)
         if took > PAUSE or (took > PAUSE / 2 and 2 * collected < came):
             gc.freeze()  # most was kept, and would be looked at each time
             self._look_for_twice_as_much()
         self._begin_anew()
 
-    def _learn(self, took: float, came: int, collected: int) -> None:
-        """Learn from a collection of mostly garbage what an object takes."""
+    def _learn(self, took: float, came: int, collected: int, *, forced: bool) -> None:
+        """Learn from a collection of mostly garbage what an object takes.
+
+        The few of a gap are in the processor's cache: many take longer, each of them.
+        """
         if collected >= 1_000 and 2 * collected >= came:
             each = max(took - self._kept, took / 4) / collected
             self._each = min(max((self._each + each) / 2, 5e-8), 1e-4)
+            if forced:
+                usual = (self._each_of_many + each) / 2
+                self._each_of_many = min(max(each, usual, 5e-8), 1e-4)
 
     def _count(self, took: float, collected: int, *, forced: bool) -> None:
         self.collections += 1
@@ -242,7 +249,7 @@ class Collector:
         there = (self._before_all + self._known) // _BLOCKS
         most: float = max(there, _FEW_OBJECTS)
         if self._up:
-            most = min(most, PAUSE / self._each)
+            most = min(most, PAUSE / max(self._each, self._each_of_many))
         rounds = round((most - self.came()) / max(each * (many + 1), 1))
         gc.set_threshold(each, many, max(gc.get_count()[2] + rounds - 1, 0))
 
