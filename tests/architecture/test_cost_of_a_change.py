@@ -23,10 +23,10 @@ FEW = 20
 MANY = 200
 LONG_MANY = 1_600
 
-ADD = 215
+ADD = 120
 """How many calls it takes to add a behavior that declares nothing."""
 
-STOP = 850
+STOP = 625
 """How many calls it takes to stop a robot of a sensor, an actuator and two actions."""
 
 

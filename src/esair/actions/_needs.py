@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Mapping
 from typing import (
@@ -322,6 +323,7 @@ class ProfiledAction(abc.Action):
     ) -> None:
         super().__init__(name=name)
         given: dict[str, Need] = {**(reads or {}), **(writes or {}), **(guards or {})}
+        vars(self).pop("needs", None)  # a file may give a profile afterwards
         if given:
             for attribute, need in given.items():
                 if not isinstance(need, Reads | Writes | Guards):
@@ -333,7 +335,7 @@ class ProfiledAction(abc.Action):
                 for attribute, need in given.items()
             }
 
-    @property
+    @functools.cached_property
     def needs(self) -> dict[str, Need]:
         """What this action reads, writes and guards, by the name of its port."""
         return {**self._declared, **self._profile}

@@ -192,9 +192,9 @@ class Door(OfTurn):
         self.divert: Callable[[Entry], object] | None = None
         """Gets the entries of threads in a replay, which lets them wait."""
         self._lock = threading.Lock()
-        self._entries: collections.deque[Entry] = collections.deque()
+        self.entries: collections.deque[Entry] = collections.deque()
         self._brought: collections.deque[Entry] = (
-            collections.deque() if self._holds else self._entries
+            collections.deque() if self._holds else self.entries
         )
         """What threads have brought: where work is held it has to ripen."""
         self._held: collections.deque[tuple[int, Callable[[int], None], object]] = (
@@ -206,7 +206,7 @@ class Door(OfTurn):
         """The threads that wait for time to pass, or for the outside."""
         self._outside: set[object] = set()
         """The threads whose work is to wait for the outside."""
-        self._wakes = False
+        self.wakes = False
         self.bell: Bell = Bell(turn)
         self._works = itertools.count(1)
         self.number: int = 0  # how many entries have come in
@@ -215,7 +215,7 @@ class Door(OfTurn):
     @property
     def has_news(self) -> bool:
         """Whether something is to be taken at the next border."""
-        return bool(self._entries) or (self._wakes and not self._holds)
+        return bool(self.entries) or (self.wakes and not self._holds)
 
     @property
     def held(self) -> bool:
@@ -316,8 +316,8 @@ class Door(OfTurn):
 
     def _add(self, entry: Entry) -> None:
         self._brought.append(entry)
-        if not self._wakes:
-            self._wakes = True
+        if not self.wakes:
+            self.wakes = True
             self.bell.ring()
 
     def tell(self, tag: Tag, function: Callable[..., object], *arguments: Any) -> None:
@@ -330,7 +330,7 @@ class Door(OfTurn):
             return  # in a replay it comes from the tape
         with self._lock:
             self.number += 1
-            self._entries.append(
+            self.entries.append(
                 Entry(self.number, self._time(), 0, tag, function, arguments)
             )
         self._turn.expect()
@@ -342,27 +342,23 @@ class Door(OfTurn):
             works: Whether ends of works are ripe too; else only news are.
         """
         with self._lock:
-            self._wakes = (
-                False  # before the look: what comes later wakes the loop again
-            )
+            # Before the look: what comes later wakes the loop again.
+            self.wakes = False
             brought = self._brought
             ripe = [each for each in brought if works or not each.work]
             if ripe:
                 left = [each for each in brought if not works and each.work]
                 brought.clear()
                 brought.extend(left)
-                self._entries.extend(sorted(ripe, key=_by_work) if works else ripe)
+                self.entries.extend(sorted(ripe, key=_by_work) if works else ripe)
         return bool(ripe)
 
     def take(self) -> None:
-        """Let what has come in take effect; called at the border."""
-        if not (self._entries or self._wakes):
-            return
+        """Let what has come in take effect; called at the border if there is any."""
         if not self._holds:
-            self._wakes = (
-                False  # before the look: what comes later wakes the loop again
-            )
-        entries = self._entries
+            # Before the look: what comes later wakes the loop again.
+            self.wakes = False
+        entries = self.entries
         with self._arrivals:
             while entries:
                 _, _, _, tag, function, arguments = entries.popleft()

@@ -349,16 +349,16 @@ class ProcessWatch:
 
     def changes(self) -> list[str]:
         """Name what is not as it was when this was made."""
-        now = self._look()
-        return [what for what, value in self._before.items() if now[what] != value]
+        before, now = self._before, self._look()
+        return [] if now == before else [w for w in before if now[w] != before[w]]
 
     def _look(self) -> dict[str, object]:
         # Asyncio keeps its own handlers apart; without the attribute they go unseen.
         handlers = getattr(self._loop, "_signal_handlers", {})
-        found: dict[str, object] = {
-            f"the handler of {number.name}": (getsignal(number), handlers.get(number))
-            for number in ENDING
-        }
+        found: dict[str, object] = {}
+        for number in ENDING:
+            is_now = getsignal(number), handlers.get(number)
+            found[f"the handler of {number.name}"] = is_now
         found["the task factory of the event loop"] = self._loop.get_task_factory()
         if sys.version_info < (3, 14):  # from then on the policy is deprecated
             found["the event loop policy"] = asyncio.get_event_loop_policy()

@@ -113,7 +113,9 @@ class Turn(OfLoop):
 
     def border(self, now: float) -> None:
         """Let what came in take effect, and have those look who are due."""
-        self.door.take()
+        door = self.door
+        if door.entries or door.wakes:  # hot
+            door.take()
         reached = round(now * SECOND) + self.early
         if self.due > reached:
             return  # most passes end here
@@ -366,7 +368,7 @@ class TurnLoop(asyncio.SelectorEventLoop):
 
     def _wait(self, timeout: float | None) -> Any:
         turn = self._turn
-        if turn.door.has_news:
+        if turn.door.entries or turn.door.wakes:  # hot
             timeout = 0.0
         elif timeout is None or timeout > 0.0:
             now = self.clock()

@@ -206,7 +206,8 @@ def mistyped(reaction: Reaction) -> Iterator[Finding]:
 
 
 def _in_action(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:
-    yield from _in_needs(action)
+    if action.needs:
+        yield from _in_needs(action)
     if isinstance(action, Reaction):
         yield from _in_reaction(action)
     else:

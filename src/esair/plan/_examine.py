@@ -294,7 +294,7 @@ def examine_action(
     there = plan.action_of if instead_of is None else {}
     return [
         *taken_by_another("behavior", action, there),
-        *_about_actions(plan, [action]),
+        *_about_action(plan, action),
     ]
 
 
@@ -366,7 +366,7 @@ def _about_action(
         return
     found = [*mistakes_in_action(action), *unplaceable(action)]
     yield from found
-    if any(finding.is_error for finding in found):
+    if found and any(finding.is_error for finding in found):
         return
     if isinstance(action, Reaction):
         yield from mistyped(action)

@@ -22,6 +22,9 @@ SCRIPT: Final = "__main__"
 
 def unplaceable(component: Any) -> Iterator[Finding]:
     """Find why a component cannot live in a process of its own, if it shall."""
+    place = getattr(component, "placement", None)
+    if place is None or place == "task":
+        return
     found = _reason(component)
     if found is not None:
         field, wrong, advice = found
@@ -57,11 +60,8 @@ def recipe_of(component: Any) -> dict[str, Any]:
 
 def _reason(component: Any) -> tuple[str, str, str] | None:
     """Return which field is wrong, why, and what to do."""
-    place = getattr(component, "placement", None)
-    if place is None or place == "task":
-        return None
     try:
-        placement_of(place)
+        placement_of(component.placement)
     except ValueError as error:
         return "placement", str(error), ""
     if isinstance(component, Actuator):

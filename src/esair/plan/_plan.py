@@ -178,7 +178,8 @@ class Plan:
     def enter_action(self, action: Behavior | Reaction) -> None:
         """Take an action in, or put it in the place of the one that has its name."""
         name = action.name
-        self._unlist(self.action_of.get(name))
+        if name in self.action_of:
+            self._unlist(self.action_of[name])
         self.action_of[name] = action
         self.action_names[name] = None
         for attribute, need in action.needs.items():
@@ -189,9 +190,7 @@ class Plan:
         self._unlist(self.action_of.pop(name))
         del self.action_names[name]
 
-    def _unlist(self, action: Behavior | Reaction | None) -> None:
-        if action is None:
-            return
+    def _unlist(self, action: Behavior | Reaction) -> None:
         for attribute, need in action.needs.items():
             ports = self.needs_of[need.resource]
             del ports[action.name, attribute]

@@ -15,13 +15,18 @@ from esair.connections import Halting, Stopped
 from esair.exceptions import (
     AccessDeniedError,
     BehaviorFailedError,
-    BehaviorRemovedError,
     ConfigError,
     UnknownNameError,
-    describe,
 )
 from esair.journal import Event, Kind
-from esair.loop import ProcessWatch, current_owner, script_context, spawn, wake
+from esair.loop import (
+    ProcessWatch,
+    current_owner,
+    fail,
+    script_context,
+    spawn,
+    wake,
+)
 from esair.messages import (
     Access,
     BehaviorsPolicy,
@@ -31,7 +36,7 @@ from esair.messages import (
 )
 from esair.plan import Finding, refuse
 from esair.supervisors._command_queue import CommandQueue
-from esair.supervisors._life import end
+from esair.supervisors._life import end, side_by_side
 from esair.supervisors._mediator import Mediator
 from esair.supervisors._member import Member
 from esair.supervisors._resource_deployment import ResourceDeployment
@@ -225,25 +230,23 @@ class BehaviorDeployment:
     async def begin(self, *members: Member) -> None:
         """Start members, and wait for their setup outside of the command queue."""
         self.coming += members
-        process = ProcessWatch(asyncio.get_running_loop())
+        loop = asyncio.get_running_loop()
+        process = ProcessWatch(loop)
+        waits: list[asyncio.Future[None]] = []
+        timer = loop.call_later(SETUP_TIMEOUT, _too_late, members, waits)
         try:
             for member in members:
                 member.start()
-            pairs = [(m, m.ready) for m in members if m.ready is not None]
-            if not pairs:
-                return
-            self.commands.changed()
-            await asyncio.wait(
-                [ready for _, ready in pairs],
-                timeout=SETUP_TIMEOUT,
-                return_when=asyncio.FIRST_EXCEPTION,
-            )
-            for member, ready in sorted(pairs, key=lambda pair: not pair[1].done()):
-                _check_set_up(member, ready)
+                if member.ready is not None:
+                    waits.append(member.ready)
+            if waits:
+                self.commands.changed()
+                await (waits[0] if len(waits) == 1 else asyncio.gather(*waits))
         finally:
+            timer.cancel()
             for member in members:
                 self.coming.remove(member)
-            _warn_of(process, " or ".join(member.name for member in members))
+            _warn_of(process, members)
 
     async def end(self, member: Member) -> None:
         """End a member; what it moved is safe, or the time for both is over."""
@@ -252,7 +255,7 @@ class BehaviorDeployment:
         self.ending.append(member)
         over = member.over = member.over or loop.create_future()
         undead = await member.stop(self.grace)
-        member.mail.state = BehaviorState.REMOVED
+        member.mail.become(BehaviorState.REMOVED)
         await self._settle(member, undead, deadline)
         self.ending.remove(member)
         wake(over)
@@ -274,7 +277,7 @@ class BehaviorDeployment:
         wrote = [channels[name] for name in sorted(member.used) if name in channels]
         if wrote:
             # What is sent goes on to be sent.
-            await asyncio.gather(*(channel.safe.settled(deadline) for channel in wrote))
+            await side_by_side([channel.safe.settled(deadline) for channel in wrote])
         self.undead.update(undead)
         for task in undead:
             task.add_done_callback(self.undead.discard)
@@ -314,7 +317,7 @@ class BehaviorDeployment:
         waits = [member.ready for member in members if member.ready is not None]
         if waits:
             await asyncio.wait(waits, timeout=START_TIMEOUT)
-            _warn_of(process, " or ".join(self.members))
+            _warn_of(process, self.members.values())
 
     def is_one_that_runs(self) -> bool:
         """Whether a behavior that runs is who calls this."""
@@ -343,7 +346,7 @@ class BehaviorDeployment:
         leaving = set(self.ending)
         members = [m for m in reversed(self.members.values()) if m not in leaving]
         await asyncio.gather(
-            self.commands.finish(until), *(self.end(member) for member in members)
+            *self.commands.left(until), *(self.end(member) for member in members)
         )
         rest = dict.fromkeys([*self.members.values(), *self.ending])
         await asyncio.gather(
@@ -391,22 +394,17 @@ class BehaviorDeployment:
         return list(dict.fromkeys([*users, *performers]))
 
 
-def _check_set_up(member: Member, ready: asyncio.Future[None]) -> None:
-    """Raise why the setup of a member has failed, if it has."""
-    if not ready.done():
-        told = f"its setup did not end in {SETUP_TIMEOUT:g} s"
-        raise BehaviorFailedError(member.name, told)
-    try:
-        ready.result()
-    except Exception as error:
-        if isinstance(error, BehaviorRemovedError):
-            raise
-        raise BehaviorFailedError(member.name, describe(error)) from error
+def _too_late(members: Iterable[Member], waits: list[asyncio.Future[None]]) -> None:
+    told = f"its setup did not end in {SETUP_TIMEOUT:g} s"
+    for member in members:
+        if member.ready in waits:
+            fail(member.ready, BehaviorFailedError(member.name, told))
 
 
 def refuse_all(found: list[Finding], action: Behavior | Reaction) -> None:
     """Raise what is wrong with a component, if anything is."""
-    refuse(found, f"{name_of(action)} is described wrongly")
+    if found:
+        refuse(found, f"{name_of(action)} is described wrongly")
 
 
 def name_of(component: object) -> str:
@@ -419,13 +417,13 @@ def name_of(component: object) -> str:
         return repr(component)
 
 
-def _warn_of(process: ProcessWatch, names: str) -> None:
+def _warn_of(process: ProcessWatch, members: Iterable[Member]) -> None:
     """Say who has changed what others rely on: the stop by a signal, say."""
     changes = process.changes()
     if changes:
         _log.warning(
             "%s: changed %s, which belongs to the whole process: put it back, or the "
             "robot may neither end its tasks nor stop in order at a signal",
-            names,
+            " or ".join(member.name for member in members),
             ", ".join(changes),
         )

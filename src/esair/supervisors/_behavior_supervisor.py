@@ -191,12 +191,14 @@ class BehaviorSupervisor(abc.Supervisor):
             StoppingError: The robot is not running.
         """
         action: Behavior | Reaction = adapt_action(behavior)
+        name = name_of(action)
 
         async def work() -> None:
-            await self._deployment.gone(name_of(action))
+            await self._deployment.gone(name)
             plan = self._deployment.resources.plan
-            refuse_all(examine_action(plan, action), action)
-            member = Member(action, self._deployment, action.name)
+            if found := examine_action(plan, action):
+                refuse_all(found, action)
+            member = Member(action, self._deployment, name)
             self._deployment.take_in(member)
             if self._deployment.turns.rest(member):
                 self._journal.publish(Kind.ADDED, member.name, "behavior")
@@ -210,7 +212,7 @@ class BehaviorSupervisor(abc.Supervisor):
                 if member.mail.is_leaving:
                     await self._deployment.gone(member.name)
                     raise
-                member.mail.state = BehaviorState.STOPPING
+                member.mail.become(BehaviorState.STOPPING)
                 self._deployment.mediator.peer_removed(member.mail)
                 await self._deployment.end(member)
                 self._deployment.take_out(member)
@@ -218,7 +220,7 @@ class BehaviorSupervisor(abc.Supervisor):
                 raise
             self._journal.publish(Kind.ADDED, member.name, "behavior")
 
-        await self._commands.run(work, name=f"add {name_of(action)}", undo=True)
+        await self._commands.run(work, name=f"add {name}", undo=True)
 
     async def remove(self, name: str) -> list[Any]:
         """Take a behavior away while everything else keeps running.
@@ -239,7 +241,7 @@ class BehaviorSupervisor(abc.Supervisor):
         async def work() -> list[Any]:
             await self._deployment.gone(name)
             member = self._deployment.member(name)
-            member.mail.state = BehaviorState.STOPPING
+            member.mail.become(BehaviorState.STOPPING)
             self._deployment.mediator.peer_removed(member.mail)
             for coming in tuple(self._deployment.coming):
                 if coming.name == name:

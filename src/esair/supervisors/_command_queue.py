@@ -66,12 +66,27 @@ class CommandQueue:
                 interrupt; any other ends there by a `StoppingError`.
         """
         await Budget.spend(VERB_COST)
-        loop = asyncio.get_running_loop()
-        await self._have_turn()
+        if self._phase is SupervisorPhase.STOPPED:
+            raise self._stopping()
+        if self._asleep:
+            raise StoppingError(self.name, "not started yet: enter the robot first")
+        if self._waiting >= LIMIT:
+            self.turned_away += 1
+            raise BusyError(self.name, "number of waiting commands", LIMIT)
+        self._waiting += 1
+        try:
+            await self._begins.wait()
+            await self._turn.acquire()
+        finally:
+            self._waiting -= 1
+        # The robot may have been stopped meanwhile.
+        if self.is_closed:
+            self._turn.release()
+            raise self._stopping()
         me = asyncio.current_task()
         assert me is not None
         before = me.cancelling()
-        task = self._work = spawn(loop, work(), name=name)
+        task = self._work = spawn(asyncio.get_running_loop(), work(), name=name)
         self._undoes[task] = undo
         if lasts:
             self._lasting.add(task)
@@ -80,7 +95,7 @@ class CommandQueue:
             return await asyncio.shield(task)
         except asyncio.CancelledError:
             if task.cancelled() and me.cancelling() == before:  # the robot stopped
-                raise StoppingError(self.name, self.phase.value) from None
+                raise self._stopping() from None
             if self._undoes.get(task):
                 task.cancel()
                 await asyncio.wait({task})
@@ -97,34 +112,15 @@ class CommandQueue:
         """The work that runs has changed the table: the next command may begin."""
         self._end_turn_of(asyncio.current_task())
 
-    async def _have_turn(self) -> None:
-        if self._asleep and self._phase is not SupervisorPhase.STOPPED:
-            raise StoppingError(self.name, "not started yet: enter the robot first")
-        self._check()
-        if self._waiting >= LIMIT:
-            self.turned_away += 1
-            raise BusyError(self.name, "number of waiting commands", LIMIT)
-        self._waiting += 1
-        try:
-            await self._begins.wait()
-            await self._turn.acquire()
-        finally:
-            self._waiting -= 1
-        try:
-            self._check()
-        except StoppingError:
-            self._turn.release()
-            raise
-
-    def _check(self) -> None:
-        if self._phase is SupervisorPhase.STOPPED:
-            raise StoppingError(self.name, self.phase.value)
+    def _stopping(self) -> StoppingError:
+        return StoppingError(self.name, self.phase.value)
 
     def _done(self, task: asyncio.Task[Any]) -> None:
         del self._undoes[task]
         self._lasting.discard(task)
         look_at(task)
-        self._end_turn_of(task)
+        if self._work is task:
+            self._end_turn_of(task)
 
     def _end_turn_of(self, task: asyncio.Task[Any] | None) -> None:
         if self._work is not None and self._work is task:
@@ -161,6 +157,10 @@ class CommandQueue:
         self.refuse()
         if given_up := set(self._undoes) - self._lasting:
             await asyncio.wait(given_up)
+
+    def left(self, until: float) -> list[Coroutine[Any, Any, None]]:
+        """Return what waits for the commands that are left, if there are any."""
+        return [self.finish(until)] if self._undoes else []
 
     async def finish(self, until: float) -> None:
         """Wait for the commands that are left, until a moment; then they are given up."""

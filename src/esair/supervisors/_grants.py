@@ -77,11 +77,13 @@ class Sight:
         self._action = action
         label = f"step {name} of {step_of}" if step_of else name
         self.name = name
-        self.entries: tuple[Protection, ...] = tuple(
-            _entry(action, need, step_of or name, label)
-            for need in action.needs.values()
-            if action.holds_when_blind(need)
-        )
+        self.entries: tuple[Protection, ...] = ()
+        if action.needs:
+            self.entries = tuple(
+                _entry(action, need, step_of or name, label)
+                for need in action.needs.values()
+                if action.holds_when_blind(need)
+            )
         self.reason: str = UNDECIDED  # why it cannot decide; empty if it can
         self._decided: asyncio.Future[None] | None = None
 
@@ -91,10 +93,10 @@ class Sight:
 
     def accept(self) -> None:
         """Enter the table: it is blind until its first decision."""
-        self.blind(UNDECIDED)
-        self._decided = None
-        # A latch has stayed while its guard rested.
-        self._table.enter(each for each in self.entries if not each.latched)
+        self.reason, self._decided = UNDECIDED, None
+        if self.entries:  # a latch has stayed while its guard rested
+            self._table.blind(self.entries, UNDECIDED)
+            self._table.enter(each for each in self.entries if not each.latched)
 
     def rest(self) -> None:
         """Leave the table for a while; a latch stays, which only the user ends."""
@@ -118,11 +120,15 @@ class Sight:
     def blind(self, reason: str) -> None:
         """Take note why it cannot decide; empty if it can."""
         self.reason = reason
-        self._table.blind(self.entries, reason)
+        if self.entries:
+            self._table.blind(self.entries, reason)
 
     def sees(self) -> None:
-        self.blind("")
-        wake(self._decided)
+        self.reason = ""
+        if self.entries:
+            self._table.blind(self.entries, "")
+        if self._decided is not None:
+            wake(self._decided)
 
     def leave(self) -> None:
         self._table.leave(self.entries)
@@ -366,7 +372,8 @@ def fill(
     for attribute, need in behavior.needs.items():
         port: Any = grants.declare(attribute, need)
         behavior.__dict__[attribute] = blocking(port, portal) if portal else port
-    for attribute, each in behavior.takes.items():
+    declared = behavior.takes if host.mail.queues else {}
+    for attribute, each in declared.items():
         if isinstance(each, Takes) and each.method is None:
             queue = host.mail.queues[each.type]
             behavior.__dict__[attribute] = (

@@ -9,7 +9,7 @@ import asyncio
 import collections
 import errno
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from typing import TYPE_CHECKING, Any
 
 from esair.actions import Behavior, Reaction
@@ -229,6 +229,8 @@ async def end(owner: Owner, grace: float) -> list[asyncio.Task[Any]]:
     """
     told, left = owner.told, living(owner)
     for seconds in (grace, _SECOND):
+        if not left:
+            break
         for task in left:
             if task not in told:
                 task.cancel()
@@ -238,6 +240,14 @@ async def end(owner: Owner, grace: float) -> list[asyncio.Task[Any]]:
     for task in left:
         task.add_done_callback(look_at)
     return left
+
+
+async def side_by_side(works: list[Coroutine[Any, Any, None]]) -> None:
+    """Wait for some works; the only one of them needs no task of its own."""
+    if len(works) == 1:
+        await works[0]
+    else:
+        await asyncio.gather(*works)
 
 
 class UserRemovedError(BehaviorRemovedError, NotRegisteredError):

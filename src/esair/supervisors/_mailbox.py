@@ -43,6 +43,9 @@ _ALIVE = frozenset(
 )
 
 
+_LEAVING = frozenset({BehaviorState.STOPPING, BehaviorState.REMOVED})
+
+
 class Mailbox:
     """What others see of a behavior: its state, what it can receive and give.
 
@@ -51,7 +54,6 @@ class Mailbox:
 
     __slots__ = (
         "_mediator",
-        "_state",
         "action",
         "alive",
         "askers",
@@ -60,6 +62,7 @@ class Mailbox:
         "dropped",
         "error",
         "inbox",
+        "is_leaving",
         "is_quick",
         "latest",
         "name",
@@ -70,12 +73,17 @@ class Mailbox:
         "receives",
         "room",
         "senders",
+        "state",
         "takers",
         "turned_away",
     )
 
     def __init__(
-        self, action: Behavior | Reaction, mediator: Mediator, name: str
+        self,
+        action: Behavior | Reaction,
+        mediator: Mediator,
+        name: str,
+        owner: Owner,
     ) -> None:
         self.action: Behavior | Reaction = action
         self.name: str = name
@@ -84,19 +92,16 @@ class Mailbox:
         """Tasks of a run that has ended may be there; they must not speak for it."""
         self.carriers: tuple[asyncio.Task[Any], ...] = ()
         """The tasks that only wait for its threads."""
-        self.state = BehaviorState.STARTING
+        self.become(BehaviorState.STARTING)
         self.error: BaseException | None = None
         self.inbox: list[tuple[str, Any]] = []  # who put what
         self.latest: Any = NOTHING  # what everybody may get again and again
         self.outbox: list[Any] = []
         self.dropped: int = 0
         self.turned_away: int = 0  # how many requests and offers there was no room for
-        self.senders: RequestQueue = RequestQueue(
-            self
-        )  # puts that wait until it can receive
-        self.askers: ServedQueue = ServedQueue(
-            self, "provide"
-        )  # gets that wait until it can send
+        # Puts that wait until it can receive, and gets that wait until it can send.
+        self.senders: RequestQueue = RequestQueue(self)
+        self.askers: ServedQueue = ServedQueue(self, "provide")
         self.queues: Mapping[Any, OrderQueue] = _NO_QUEUES
         """The requests that it takes, by their type."""
         if isinstance(action, Behavior) and action.takes:
@@ -106,18 +111,15 @@ class Mailbox:
                 if isinstance(each, Takes)
             }
         self.takers: list[asyncio.Future[None]] | None = None
-        self.owner: Owner = Owner()
+        self.owner: Owner = owner
         self.budget: Budget = Budget.of(asyncio.get_running_loop())
         self._mediator = mediator
 
-    @property
-    def state(self) -> BehaviorState:
-        return self._state
-
-    @state.setter
-    def state(self, state: BehaviorState) -> None:
-        self._state = state
+    def become(self, state: BehaviorState) -> None:
+        self.state: BehaviorState = state
         self.alive: bool = state in _ALIVE
+        self.is_leaving: bool = state in _LEAVING
+        """Whether it is being removed, or has been: its actuators may still be."""
         self.is_quick: bool = self.alive and not self.outlived
         is_open = state is BehaviorState.RUNNING
         if self.room and state is BehaviorState.RESTING:
@@ -133,11 +135,6 @@ class Mailbox:
     def served(self) -> tuple[ServedQueue, ...]:
         """What it answers by a method, or in a loop."""
         return (self.askers, *self.queues.values())
-
-    @property
-    def is_leaving(self) -> bool:
-        """Whether it is being removed, or has been: its actuators may still be."""
-        return self._state in {BehaviorState.STOPPING, BehaviorState.REMOVED}
 
     def failure(self) -> BehaviorFailedError:
         """Return what whoever needs it gets after it has failed for good."""

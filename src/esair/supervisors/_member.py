@@ -38,7 +38,7 @@ from esair.loop import (
     speaks_for_nobody,
     wake,
 )
-from esair.messages import BehaviorState, BehaviorStatus
+from esair.messages import BehaviorState, BehaviorStatus, is_placed
 from esair.supervisors._grants import (
     Grants,
     Sight,
@@ -105,7 +105,7 @@ class Member:
     ) -> None:
         self.action: Behavior | Reaction = action
         self.name: str = name
-        self.mail: Mailbox = Mailbox(action, crew.mediator, name)
+        self.mail: Mailbox = Mailbox(action, crew.mediator, name, Owner(crew.context))
         """What others see of it: its state, and what they put there."""
         self.life: Life = Life(name, action.restart, crew.journal)
         self.detail: str = ""
@@ -129,7 +129,7 @@ class Member:
         self._portal: Portal | None = None
         self.sight: Sight = Sight(crew.resources.actuators.protections, action, name)
         """What it protects, and whether it sees."""
-        self.seat = crew.resources.seat_for(action)
+        self.seat = crew.resources.seat_for(action) if is_placed(action) else None
         """Its place if its code runs in a process of its own."""
         self.used: Collection[str] = ()
         """Which resources its last run has used; what it moved may not be safe yet."""
@@ -216,7 +216,7 @@ class Member:
         return [*own, *(step.runner for step in self.steps.now if step.runner)]
 
     def start(self) -> None:
-        self.mail.state = BehaviorState.STARTING
+        self.mail.become(BehaviorState.STARTING)
         if isinstance(self.action, Reaction):
             self.sight.blind(UNDECIDED)
             sees = self.sight.sees
@@ -230,12 +230,8 @@ class Member:
         if self.task is not None and (misfit := self.misfit()):
             self._runs(False, misfit)  # another device has come in the place of one
             return
-        survivors = self.mail.owner.living()
-        self.mail.owner = Owner(self.crew.context)
-        self.mail.owner.stream = self.stream
-        for task in survivors:  # they would not end with the run before
-            self.mail.owner.adopt(task)
-        self.mail.outlived = bool(survivors)
+        if self.mail.owner.over:
+            self._take_owner()
         if self.seat is not None:
             self.seat.sit(self.mail.owner)
         if not inspect.iscoroutinefunction(self.action.run):
@@ -253,6 +249,15 @@ class Member:
         if self._portal is not None:
             self.mail.carriers = (self.task,)
         self.task.add_done_callback(self._ended)
+
+    def _take_owner(self) -> None:
+        """Have an owner for a new run, who also owns what outlives the one before."""
+        survivors = self.mail.owner.living()
+        self.mail.owner = Owner(self.crew.context)
+        self.mail.owner.stream = self.stream
+        for task in survivors:  # they would not end with the run before
+            self.mail.owner.adopt(task)
+        self.mail.outlived = bool(survivors)
 
     def try_to_start(self) -> None:
         """Start it; an error is a crash of its own."""
@@ -299,16 +304,21 @@ class Member:
         if self.mail.is_leaving:
             return
         before = self.mail.state
-        self.mail.state = BehaviorState.RUNNING if running else BehaviorState.PARKED
+        now = BehaviorState.RUNNING if running else BehaviorState.PARKED
+        self.mail.become(now)
         self._is_ready()
         if not running:
             self.sight.blind(why)
         elif isinstance(self.action, Behavior):
             self.sight.sees()
         if running:
-            self.mail.admit()
-            for queue in self.mail.served:
-                queue.roused()
+            if self.mail.senders.count:
+                self.mail.admit()
+            if self.mail.askers.count:
+                self.mail.askers.roused()
+            for queue in self.mail.queues.values():
+                if queue.count:
+                    queue.roused()
         if before is not self.mail.state:
             self.life.tell(
                 Kind.RUNNING if running else Kind.PARKED, self.mail.error, why
@@ -327,7 +337,7 @@ class Member:
             return
         error = asyncio.CancelledError() if task.cancelled() else task.result()
         if error is None:
-            self.mail.state = BehaviorState.FINISHED
+            self.mail.become(BehaviorState.FINISHED)
             self.life.tell(Kind.FINISHED)
             self.fence()
             self._end_requests()
@@ -345,14 +355,14 @@ class Member:
         self._cut_off(error)
         ready = self.ready
         if ready is not None and not ready.done() and self in self.crew.coming:
-            self.mail.state = BehaviorState.FAILED
-            fail(ready, raisable(error))
+            self.mail.become(BehaviorState.FAILED)
+            fail(ready, self.mail.failed_by(raisable(error)))
             return
         self._is_ready()
         missing = absent_for(error, self.action, self.crew.resources.is_ready)
         if missing:
             # Not its own fault: it begins anew when everything it uses is there.
-            self.mail.state = BehaviorState.PARKED
+            self.mail.become(BehaviorState.PARKED)
             verb = "is" if len(missing) == 1 else "are"
             self.detail = f"{', '.join(missing)} {verb} not there"
             self.sight.blind(self.detail)
@@ -363,9 +373,9 @@ class Member:
         loop = asyncio.get_running_loop()
         pause = self.life.pause_after(error, loop.time())
         if pause is None:
-            self.mail.state = BehaviorState.FAILED
+            self.mail.become(BehaviorState.FAILED)
         else:
-            self.mail.state = BehaviorState.RESTARTING
+            self.mail.become(BehaviorState.RESTARTING)
             if not self.life.restarts.retries:
                 _log.warning(
                     "%s: failed: %s; restart %d in %g s",
@@ -423,7 +433,7 @@ class Member:
 
     async def stop(self, grace: float) -> list[asyncio.Task[Any]]:
         """End it, whatever it does; returns the tasks that would not end."""
-        self.mail.state = BehaviorState.STOPPING
+        self.mail.become(BehaviorState.STOPPING)
         self._no_restart()
         self.fence(lambda: UserRemovedError(self.name))
         self.give_up()
@@ -451,7 +461,7 @@ class Member:
         self._no_more(BehaviorState.RESTING)
 
     def _no_more(self, state: BehaviorState) -> None:
-        self.mail.state = state
+        self.mail.become(state)
         self._no_restart()
         self._is_ready()
         self.task = self.gate = None
@@ -476,7 +486,8 @@ class Member:
         """End whoever waits for its setup, and what would wait for its turn to run."""
         self.given_up = True
         for future in (self.ready, self.gate):
-            fail(future, BehaviorRemovedError(self.name))
+            if future is not None:
+                fail(future, BehaviorRemovedError(self.name))
 
     def _end_requests(self) -> None:
         removed = self.mail.state is BehaviorState.STOPPING

@@ -44,6 +44,7 @@ from esair.plan import UNWATCHED, Plan, depths, when_alone
 from esair.resources import APPLIED, Actuator, Resource, Sensor
 from esair.supervisors._command_queue import CommandQueue
 from esair.supervisors._control_path import ControlPath, Declared, Rules
+from esair.supervisors._life import side_by_side
 from esair.supervisors._opening import DerivedOpener, Opener
 from esair.supervisors._resource_life import ResourceLife
 
@@ -222,7 +223,7 @@ class ResourceDeployment:
 
         if resource.bus is not None and resource.bus not in self.buses:
             self.buses.append(resource.bus)
-        seat = self.seat_for(resource)
+        seat = self.seat_for(resource) if is_placed(resource) else None
         if seat is not None:
             seat.sit()  # before anybody asks for its methods
         if channel is not None:
@@ -482,7 +483,7 @@ class ResourceDeployment:
     async def make_safe(self) -> list[LastCommand]:
         """Send every actuator its safe command, whatever was sent before."""
         channels = tuple(self.actuators.channels.values())
-        await asyncio.gather(*(self._make_safe(each.name) for each in channels))
+        await side_by_side([self._make_safe(each.name) for each in channels])
         return [each.told() for each in channels]
 
     async def stop(self) -> None:
@@ -496,7 +497,7 @@ class ResourceDeployment:
         stay = [name for name in self.lives if name not in self._departures]
         closed = ResourceState.CLOSED
         await asyncio.gather(
-            self.commands.finish(until),
+            *self.commands.left(until),
             *(self._undeploy(name, closed, until) for name in stay),
         )
         await asyncio.gather(
@@ -509,9 +510,9 @@ class ResourceDeployment:
 
     # Processes of their own.
 
-    def seat_for(self, component: Any) -> Seat | None:
+    def seat_for(self, component: Any) -> Seat:
         """Return the place of a component that is to live in a process of its own."""
-        return self._all_seats().seat(component) if is_placed(component) else None
+        return self._all_seats().seat(component)
 
     def _all_seats(self) -> Seats:
         if self._seats is None:

@@ -59,9 +59,9 @@ class Turns:
 
     def rest(self, member: Member) -> bool:
         """Have a member that has not begun wait for its mode; tells whether it does."""
-        if self.rests(member.name):
+        if self.mode is not None and self.rests(member.name):
             member.detail = self._why(member)
-            member.mail.state = BehaviorState.RESTING
+            member.mail.become(BehaviorState.RESTING)
             return True
         return False
 
