@@ -13,6 +13,44 @@ import esair
 from esair.testing import ActuatorContract, FakeActuator, FakeSensor, SensorContract
 
 
+class PackageError(Exception):
+    """What a package raises."""
+
+
+class Foreign(esair.Sensor[float]):
+    """Its package says everything in one kind of error."""
+
+    errors = {PackageError: esair.DeviceLostError, KeyError: esair.DeviceFaultError}  # noqa: RUF012
+
+    def open(self) -> None:
+        raise PackageError("no route")
+
+    async def read(self) -> float:
+        raise KeyError("x")
+
+    async def stream(self) -> AsyncIterator[float]:
+        yield 1.0
+        raise PackageError("gone")
+
+
+async def test_errors_of_a_package_are_named_once() -> None:
+    """In plain methods, coroutines and streams; others stay what they are."""
+    device = Foreign(name="far")
+    with pytest.raises(esair.DeviceLostError, match=r"far.*PackageError: no route"):
+        device.open()
+    with pytest.raises(esair.DeviceFaultError, match=r"far.*KeyError"):
+        await device.read()
+    with pytest.raises(esair.DeviceLostError, match="gone"):
+        assert [value async for value in device.stream()] == []
+
+    class Nearer(Foreign):
+        def open(self) -> None:
+            raise ValueError("its own")
+
+    with pytest.raises(ValueError, match="its own"):
+        Nearer().open()
+
+
 class TestFakeSensor(SensorContract):
     def make(self) -> FakeSensor[float]:
         return FakeSensor("sonar", 1.0, type=float)
@@ -192,6 +230,46 @@ async def test_a_driver_with_a_mistake_does_not_pass(
             return device("unsafe", 0.0)
 
     with pytest.raises((AssertionError, ValueError)):
+        await getattr(Suite(), test)()
+
+
+class Careless(Blocking):
+    """A driver that asks nothing, notices nothing and takes its time."""
+
+    blocking = False
+    deadline = 0.5
+
+    def open(self) -> None:
+        """Ask nothing."""
+
+    async def is_set_up(self) -> bool:  # type: ignore[override]
+        return True
+
+    async def read(self) -> float:  # type: ignore[override]
+        await asyncio.sleep(0.7)
+        return True
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.parametrize(
+    ("test", "told"),
+    [
+        ("test_silent_first_then_there", r"ask the part something in open\(\)"),
+        ("test_power_cycle", r"was not READY|is_set_up\(\) did not notice"),
+        ("test_its_calls_end_within_its_deadline", "longer than deadline = 0.5 s"),
+        ("test_it_gives_values_of_its_type", "it gave True: its class says float"),
+    ],
+)
+async def test_a_failure_says_what_to_write(test: str, told: str) -> None:
+    """In a sentence, for an author who has not read the suite."""
+
+    class Suite(SensorContract):
+        silent_for = 1.0
+
+        def make(self) -> Careless:
+            return Careless()
+
+    with pytest.raises(AssertionError, match=told):
         await getattr(Suite(), test)()
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import abc
 import asyncio
 import functools
+from collections.abc import Awaitable
 from typing import Any, ClassVar
 
 import pytest
@@ -115,7 +116,10 @@ class ResourceContract(abc.ABC):
                         checked = described.check(device.name, described.type(value))
                         await session.call("apply", **{name: checked})
                         now = dict(device.settings)
-                        assert now == before, "apply must not set attributes"
+                        assert now == before, (
+                            f"apply() has set {name!r}: only send it to the device, "
+                            "the attribute changes after apply() has returned"
+                        )
             await session.call("apply", **before)
             await self.use(session.driver)
 
@@ -129,7 +133,9 @@ class ResourceContract(abc.ABC):
                 await self.use(session.driver)
             error = translate(device.name, caught.value)
             assert isinstance(error, DeviceLostError), (
-                f"expected a ConnectionError, it raised {caught.value!r}"
+                f"raise esair.DeviceLostError, or another ConnectionError, when the "
+                f"device is gone; it raised {caught.value!r}: name the errors of a package "
+                "once in the class, errors = {package.Error: esair.DeviceLostError}"
             )
 
     async def test_silent_first_then_there(self) -> None:
@@ -143,15 +149,27 @@ class ResourceContract(abc.ABC):
         async with _robot_with(device) as robot:
             status = functools.partial(robot.resources.query, device.name)
             if not self.is_heard:
-                async with asyncio.timeout(LONGEST_PAUSE):
-                    await _until_ready(robot, device)
+                await _in_time(_until_ready(robot, device), LONGEST_PAUSE, NOT_READY)
             for _ in range(12):
                 await asyncio.sleep(self.silent_for / 12)
-                assert (status().state in absent) is self.is_heard
+                state = status().state
+                if self.is_heard:
+                    assert state in absent, (
+                        f"it is {state.name} without power: ask the part something in "
+                        "open(), and raise what says that it is absent as esair."
+                        "DeviceLostError; if nothing is ever heard of it, write "
+                        "is_heard = False in the suite"
+                    )
+                else:
+                    assert state not in absent, (
+                        f"it is {state.name} though nothing is heard of it: open() must "
+                        "not wait for an answer, or leave out is_heard = False"
+                    )
             await self.speak(device)
-            async with asyncio.timeout(LONGEST_PAUSE):
-                await _until_used(robot, device)
-            assert self.is_heard or not status().losses
+            await _in_time(_until_used(robot, device), LONGEST_PAUSE, NOT_BACK)
+            assert self.is_heard or not status().losses, (
+                "it was lost though nothing is heard of it: leave out is_heard = False"
+            )
 
     async def test_power_cycle(self) -> None:
         """A part that has restarted is set up again, if there is something to lose."""
@@ -161,8 +179,7 @@ class ResourceContract(abc.ABC):
         if default and _told_by(device, "power_cycle") is None:
             pytest.skip("override power_cycle() to test this")
         async with _robot_with(device) as robot:
-            async with asyncio.timeout(PATIENCE):
-                await _until_used(robot, device)
+            await _in_time(_until_used(robot, device), PATIENCE, NOT_READY)
             before = robot.resources.query(device.name).losses
             await self.power_cycle(device)
             assert can_tell or self.keeps_nothing, (
@@ -170,18 +187,24 @@ class ResourceContract(abc.ABC):
                 "the part takes nothing away: keeps_nothing = '...'"
             )
             await asyncio.sleep(device.set_up_period + device.deadline)
-            async with asyncio.timeout(LONGEST_PAUSE):
-                await _until_used(robot, device)
+            await _in_time(_until_used(robot, device), LONGEST_PAUSE, NOT_BACK)
             losses = robot.resources.query(device.name).losses - before
-            assert losses == 1 if can_tell else losses <= 1
+            assert losses <= 1, f"one restart was told as {losses} losses"
+            assert losses or not can_tell, (
+                "the part has restarted and is_set_up() did not notice: read something "
+                "back there that is another one after a restart"
+            )
 
     async def test_its_calls_end_within_its_deadline(self) -> None:
         """A use of the device takes no longer than the device itself says."""
         device = self.make()
         async with _Session(device) as session:
             await session.open()
-            async with asyncio.timeout(device.deadline):
-                await self.use(session.driver)
+            told = (
+                f"a use took longer than deadline = {device.deadline:g} s: end it before "
+                "with a time-out of your own, or give the class a longer deadline"
+            )
+            await _in_time(self.use(session.driver), device.deadline, told)
 
 
 class GatewayContract(ResourceContract):
@@ -210,6 +233,24 @@ def _robot_with(device: Resource) -> Robot:
     right = Access.READ if isinstance(device, Sensor) else Access.WRITE
     policy = Policy(device.name, allow={_ME: right})
     return Robot(resources=[device], policies=[policy])
+
+
+NOT_READY = "it was not READY in time: what open() raises says why"
+NOT_BACK = (
+    "its power is back, and it is not: open() must work again on the same object after a "
+    "loss, so forget in close() what belongs to the connection that is over"
+)
+
+
+async def _in_time(waiting: Awaitable[Any], seconds: float, told: str) -> None:
+    """Wait; say in a sentence what is wrong if it takes too long."""
+    try:
+        async with asyncio.timeout(seconds) as limit:
+            await waiting
+    except TimeoutError as error:
+        if not limit.expired():
+            raise
+        raise AssertionError(told) from error
 
 
 async def _until_ready(robot: Robot, device: Resource) -> None:
@@ -265,15 +306,17 @@ class SensorContract(ResourceContract):
             wanted = checked_class(sensor.value_type)
             for _ in range(3):
                 value = await self.use(session.driver)
-                if wanted is float:
-                    assert type(value) in {float, int}
-                elif wanted is not None:
-                    assert isinstance(value, wanted)
+                if wanted is None:
+                    continue
+                is_number = wanted is float and type(value) in {float, int}
+                assert is_number or (
+                    wanted is not float and isinstance(value, wanted)
+                ), f"it gave {value!r:.80}: its class says {wanted.__name__}"
 
     async def test_it_can_be_read_or_pushes(self) -> None:
         """A sensor has a ``read``, a ``stream``, or both."""
         sensor = self.make()
-        assert sensor.can_be_asked or sensor.pushes
+        assert sensor.can_be_asked or sensor.pushes, "write a read() or a stream()"
 
 
 class ActuatorContract(ResourceContract):
@@ -295,7 +338,8 @@ class ActuatorContract(ResourceContract):
 
     async def test_it_declares_what_is_safe(self) -> None:
         """It has a safe command, within its limits, and a command time-out above 0."""
-        assert errors_in(examine_resource(Plan(), self.make())) == []
+        mistakes = errors_in(examine_resource(Plan(), self.make()))
+        assert mistakes == [], "; ".join(map(str, mistakes))
 
     async def test_it_takes_its_safe_command_at_any_time(self) -> None:
         """Right after the opening, twice in a row, and after each other command."""
