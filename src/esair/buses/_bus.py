@@ -5,12 +5,13 @@ from __future__ import annotations
 import abc
 import asyncio
 import contextlib
+import inspect
 from collections.abc import Awaitable, Callable, Hashable
 from typing import Any, TypeVar
 
 import attrs
 
-from esair.exceptions import DeviceLostError, describe
+from esair.exceptions import DeviceLostError, DriverStuckError, describe
 from esair.loop import Executor, spawn, wake
 from esair.values import check_name
 from esair.watchdog import Outlet
@@ -117,6 +118,8 @@ class Bus(abc.ABC):
         self._letting_go: asyncio.Task[None] | None = None
         self._on_lost: list[Callable[[BaseException], None]] = []
         self._on_arrival: list[Callable[[], None]] = []
+        self._waits: list[asyncio.Timeout] = []
+        """What waits for something that the wire brings; it ends with that."""
         self._seen_first: Hashable | None = None
         """What was there before the newest opening."""
         self._is_missed = False
@@ -252,6 +255,7 @@ class Bus(abc.ABC):
             await asyncio.wait({opening}, timeout=CANCEL_TIMEOUT)
         self._is_missed = False
         was_open, self.is_open = self.is_open, False
+        self._end_waits()
         self._keep_watch()
         await self._has_let_go()
         if was_open or opening is not None:
@@ -298,7 +302,43 @@ class Bus(abc.ABC):
         self._keep_watch()
         for listener in tuple(self._on_lost):
             listener(error)
+        self._end_waits()
         self._let_go()
+
+    async def wait_for(self, coming: Awaitable[T], timeout: float | None = None) -> T:
+        """Wait for something that the wire brings; the wait ends with the wire.
+
+        Args:
+            coming: What is waited for, such as an event that a listener sets.
+            timeout: How long to wait, in seconds; as long as the wire is there if None.
+
+        Raises:
+            DeviceLostError: The wire is gone, or was closed.
+            DriverStuckError: It has not come in time.
+        """
+        if not self.is_open:
+            if inspect.iscoroutine(coming):
+                coming.close()
+            raise DeviceLostError(self.name, "the bus is not open")
+        waiting = asyncio.timeout(timeout)
+        self._waits.append(waiting)
+        try:
+            async with waiting:
+                return await coming
+        except TimeoutError:
+            if self.is_open and waiting.expired():
+                raise DriverStuckError(self.name, "wait", timeout or 0.0) from None
+            if not waiting.expired():
+                raise
+            why = describe(self.error) if self.error is not None else "it was closed"
+            raise DeviceLostError(self.name, why) from None
+        finally:
+            self._waits.remove(waiting)
+
+    def _end_waits(self) -> None:
+        for waiting in self._waits:
+            if not waiting.expired():
+                waiting.reschedule(0.0)
 
     def _let_go(self) -> None:
         """Close what is left: an open file would keep its number from who returns."""

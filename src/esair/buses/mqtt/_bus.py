@@ -69,8 +69,6 @@ class MqttBus(Bus):
         self._options = options
         self._links: list[MqttLink] = []
         self._inboxes: dict[Inbox[Message], tuple[str, ...]] = {}
-        self._waiting: list[asyncio.Timeout] = []
-        """What waits for an acknowledge; it ends with the connection."""
 
     async def subscribe(self, *patterns: str, limit: int = 16) -> Inbox[Message]:
         """Listen to the topics that fit one of some patterns.
@@ -135,24 +133,19 @@ class MqttBus(Bus):
             await link.close()
 
     async def _made(self, call: Any, what: str) -> None:
-        waiting = asyncio.timeout(self.timeout)
         try:
-            async with waiting:
-                self._waiting.append(waiting)
-                await call
-        except TimeoutError:
-            if not self.is_open:
-                raise DeviceLostError(self.name, self.stats.last_error) from None
-            stuck = DriverStuckError(self.name, what, self.timeout)
-            loss = DeviceLostError(self.name, f"the broker does not answer: {stuck}")
+            await self.wait_for(call, self.timeout)
+        except DriverStuckError:
+            silent = f"the broker has not answered for {self.timeout:g} s: {what}"
+            loss = DeviceLostError(self.name, silent)
             self._gone(loss)
             raise loss from None
+        except DeviceLostError:
+            raise
         except OSError as error:
             loss = DeviceLostError(self.name, describe(error))
             self._gone(loss)
             raise loss from error
-        finally:
-            self._waiting.remove(waiting)
 
     def _message(self, topic: str, payload: bytes | str, retain: bool) -> Message:
         check_topic(self.name, topic, wild=False)
@@ -219,16 +212,13 @@ class MqttBus(Bus):
         loss = error
         if not isinstance(error, DeviceLostError):
             loss = DeviceLostError(self.name, describe(error))
-        self.lost(loss)
         self._fail(loss)
+        self.lost(loss)
 
     def _fail(self, error: BaseException) -> None:
         inboxes, self._inboxes = tuple(self._inboxes), {}
         for inbox in inboxes:
             inbox.fail(error)
-        for waiting in self._waiting:
-            if not waiting.expired():
-                waiting.reschedule(0.0)
 
     def _forget(self, inbox: Inbox[Message]) -> None:
         with contextlib.suppress(KeyError):

@@ -1,0 +1,45 @@
+"""What waits on a bus ends with it."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from esair.exceptions import DeviceLostError, DriverStuckError
+from esair.testing import FakeSerial
+
+pytestmark = pytest.mark.virtual_clock
+
+
+@pytest.mark.parametrize("how", ["unplug", "close"])
+async def test_a_wait_ends_with_the_bus(how: str) -> None:
+    """At once, with its reason; a wait of one's own would last for ever."""
+    bus = FakeSerial("front")
+    await bus.open()
+    waiting = asyncio.ensure_future(bus.wait_for(asyncio.Event().wait()))
+    await asyncio.sleep(5.0)
+    assert not waiting.done()
+    bus.unplug() if how == "unplug" else await bus.close()
+    async with asyncio.timeout(0.1):
+        with pytest.raises(DeviceLostError, match="front"):
+            await waiting
+    await bus.close()
+
+
+async def test_a_wait_has_its_result_its_time_and_needs_the_bus() -> None:
+    """What comes is returned, what does not come is told, and nothing is begun."""
+    bus = FakeSerial("front")
+    with pytest.raises(DeviceLostError, match="not open"):
+        await bus.wait_for(asyncio.sleep(0))
+    await bus.open()
+    assert await bus.wait_for(asyncio.sleep(0.1, "there"), 1.0) == "there"
+    with pytest.raises(DriverStuckError, match="1 s"):
+        await bus.wait_for(asyncio.sleep(2.0), 1.0)
+    with pytest.raises(TimeoutError, match="its own"):
+        await bus.wait_for(_fails(), 1.0)
+    await bus.close()
+
+
+async def _fails() -> None:
+    raise TimeoutError("its own")
