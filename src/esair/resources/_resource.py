@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
 import itertools
 import typing
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import attrs
 
 from esair import abc
-from esair.exceptions import ConfigError
+from esair.exceptions import ConfigError, EsairError, describe
 from esair.resources._operation import Operation, operations_of
 from esair.resources._setting import Setting, check_settings, settings_of
 from esair.values import once_for_class
@@ -44,6 +45,13 @@ class Resource(abc.Resource):
     it cannot be had yet (it is then reopened with a growing delay), any other exception
     when the device is there but answered wrongly (after `fault_limit` in a row it is
     closed and opened again).
+
+    What the errors of a package mean is said once in the class::
+
+        errors = {package.NotThereError: esair.DeviceLostError}
+
+    One that a method raises becomes the other, with the device's name and the package's
+    words. The first that fits counts; the errors of esair stay what they are.
 
     Args:
         name: The name; the class name in snake case unless given.
@@ -125,6 +133,8 @@ class Resource(abc.Resource):
         is_checked = owner is not cls and issubclass(owner, Resource)
         if inspect.isfunction(own) and not is_checked:
             cls.open = _on_its_bus(own)  # type: ignore[method-assign]
+        if isinstance(getattr(cls, "errors", None), Mapping):
+            _translate_errors(cls)
 
     @property
     def value_type(self) -> Any:
@@ -290,6 +300,68 @@ def _on_its_bus(own: Callable[..., Any]) -> Callable[..., Any]:
             return own(device)
 
     return opened
+
+
+_CALLED = ("open", "close", "identify", "apply", "is_set_up", "read", "write", "stream")
+"""The methods of a driver, whose errors may be those of a package."""
+
+
+def _translate_errors(cls: type[Resource]) -> None:
+    """Have the methods that were written for a class raise what ``errors`` says."""
+    for name in _CALLED:
+        own = next(
+            (vars(each)[name] for each in cls.__mro__ if name in vars(each)), None
+        )
+        if not inspect.isfunction(own) or own.__module__.startswith("esair.resources"):
+            continue
+        if not hasattr(own, "_translates"):
+            setattr(cls, name, _translating(own))
+
+
+def _translating(own: Callable[..., Any]) -> Callable[..., Any]:
+    made: Callable[..., Any]
+    if inspect.isasyncgenfunction(own):
+
+        async def made(device: Resource, *args: Any, **named: Any) -> Any:
+            with _translated(device):
+                async with contextlib.aclosing(own(device, *args, **named)) as values:
+                    async for value in values:
+                        yield value
+
+    elif inspect.isgeneratorfunction(own):
+
+        def made(device: Resource, *args: Any, **named: Any) -> Any:
+            with _translated(device):
+                yield from own(device, *args, **named)
+
+    elif inspect.iscoroutinefunction(own):
+
+        async def made(device: Resource, *args: Any, **named: Any) -> Any:
+            with _translated(device):
+                return await own(device, *args, **named)
+
+    else:
+
+        def made(device: Resource, *args: Any, **named: Any) -> Any:
+            with _translated(device):
+                return own(device, *args, **named)
+
+    vars(made)["_translates"] = True
+    return functools.wraps(own)(made)
+
+
+@contextlib.contextmanager
+def _translated(device: Resource) -> Iterator[None]:
+    try:
+        yield
+    except EsairError:
+        raise
+    except Exception as error:
+        errors: Mapping[Any, Any] = type(device).errors  # type: ignore[attr-defined]
+        for kind, meant in errors.items():
+            if isinstance(error, kind):
+                raise meant(device.name, describe(error)) from error
+        raise
 
 
 def _check_bus(device: Resource) -> None:
