@@ -98,7 +98,7 @@ async def overload(kind: type[Chip], seconds: float) -> list[int]:
 
 @pytest.mark.virtual_clock
 @pytest.mark.promise("BUS-5")
-@pytest.mark.parametrize("transfers", [1, 3])
+@pytest.mark.parametrize("transfers", [1, pytest.param(3, marks=pytest.mark.long)])
 async def test_an_overloaded_bus_loses_nobody(monkeypatch, transfers: int) -> None:
     """The slowest is read at least half as often as the one in the middle."""
     monkeypatch.setattr(Chip, "transfers", transfers)
@@ -111,6 +111,7 @@ async def test_an_overloaded_bus_loses_nobody(monkeypatch, transfers: int) -> No
 
 @pytest.mark.virtual_clock
 @pytest.mark.promise("BUS-5")
+@pytest.mark.long
 async def test_not_even_where_a_reading_takes_longer_than_its_deadline(
     monkeypatch,
 ) -> None:

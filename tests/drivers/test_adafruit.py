@@ -335,8 +335,9 @@ async def test_no_transfer_of_another_comes_into_a_call_of_the_driver() -> None:
 
 
 @pytest.mark.real_clock
+@pytest.mark.longer
 @pytest.mark.fault("I05")
-async def test_drivers_on_two_buses_do_not_share_their_buffer() -> None:
+async def test_drivers_on_two_buses_do_not_share_their_buffer(request) -> None:
     """adafruit_register has one for the whole process; two threads would mix it up."""
 
     def giving_way(i2c: Any) -> Any:
@@ -369,7 +370,7 @@ async def test_drivers_on_two_buses_do_not_share_their_buffer() -> None:
         values = await asyncio.gather(
             *(
                 sensor.bus.executor.call(sensor.read, timeout=20.0)
-                for _ in range(200)
+                for _ in range(200 if request.config.getoption("--esair-long") else 20)
                 for sensor in sensors
             )
         )

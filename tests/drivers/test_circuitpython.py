@@ -202,6 +202,7 @@ async def test_an_actuator_tells_its_part(
     assert bus.chips[0x40].read(0x06, 4).hex() == written
 
 
+@pytest.mark.long
 @pytest.mark.promise("RES-4")
 async def test_a_part_that_has_restarted_is_set_up_again() -> None:
     """Its rate is that of the data sheet then: it measures nothing."""

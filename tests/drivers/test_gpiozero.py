@@ -121,7 +121,13 @@ async def test_each_sensor_is_read(device, factory) -> None:
     assert isinstance(value, bool | int | float | tuple)
 
 
-@pytest.mark.parametrize("device", sorted(TELLS))
+@pytest.mark.parametrize(
+    "device",
+    [
+        pytest.param(each, marks=[pytest.mark.long] if each == "Energenie" else [])
+        for each in sorted(TELLS)
+    ],
+)
 async def test_each_actuator_obeys(device) -> None:
     """It is told the most that it takes, and has it."""
     part = GpiozeroActuator(name="part", device=device, arguments=arguments(device))

@@ -60,6 +60,7 @@ class TestGps(Powered, SensorContract):
 
 
 @pytest.mark.real_clock
+@pytest.mark.long
 class TestGpsOnATerminal(TestGps):
     """The same, through the kernel."""
 

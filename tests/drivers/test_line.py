@@ -75,6 +75,7 @@ class TestConfirmed(TestTold):
 
 
 @pytest.mark.real_clock
+@pytest.mark.long
 class TestConfirmedOnATerminal(TestConfirmed):
     """The same, through the kernel."""
 

@@ -63,6 +63,7 @@ class TestRpLidar(Powered, SensorContract):
 
 
 @pytest.mark.real_clock
+@pytest.mark.long
 class TestRpLidarOnATerminal(TestRpLidar):
     """The same, through the kernel."""
 

@@ -192,6 +192,7 @@ async def test_here_a_descriptor_that_fails_is_one_loss(
     await bus.close()
 
 
+@pytest.mark.long
 async def test_python_can_keeps_the_loop_when_it_is_stopped() -> None:
     """Its stop waits for a thread that waits for a frame."""
     channel = f"stop-{os.getpid()}"

@@ -132,6 +132,7 @@ class Server:
 
 
 @pytest.mark.real_clock
+@pytest.mark.long
 class TestOnASocket(TestOnAUrl):
     """On a socket, by pyserial: without a thread, as any port."""
 

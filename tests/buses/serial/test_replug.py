@@ -74,6 +74,7 @@ async def test_a_hundred_times_on_the_virtual_clock() -> None:
 @pytest.mark.real_clock
 @pytest.mark.fault("D04", "D01", "D19")
 @pytest.mark.promise("RES-2")
+@pytest.mark.long
 async def test_twenty_times_through_the_kernel() -> None:
     """The same with descriptors and a thread."""
     await replug(20, rest=0.05)

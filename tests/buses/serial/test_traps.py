@@ -113,6 +113,7 @@ async def is_stuck(bus: SerialBus) -> bool:
 
 
 @pytest.mark.fault("D16")
+@pytest.mark.long
 def test_bare_a_write_that_must_not_wait_never_returns() -> None:
     """pyserial tries again and again while the device takes nothing (pyserial#280)."""
     ended = child("""\
@@ -197,6 +198,7 @@ async def test_here_an_xoff_of_the_device_costs_the_writer_its_deadline() -> Non
 
 
 @pytest.mark.fault("D18")
+@pytest.mark.long
 def test_bare_a_close_never_finishes() -> None:
     """pyserial-asyncio waits for the device to take what was written before."""
     ended = child("""\
