@@ -22,19 +22,23 @@ HERE = Path(__file__).parent
 GIVEN: dict[str, Any] = {
     "attribute": "value",
     "channel": 0,
+    "channels": {"a": 1},
     "database": HERE / "rover.dbc",
     "eds": HERE / "motor.eds",
+    "identifier": 1,
     "library": lambda _bus: None,
     "message": "WheelCommand",
     "node": 5,
     "object": "Position actual value",
     "register": 1,
     "safe": 0,
+    "topic": "a",
     "value": "value",
 }
 """What they ask for, beside a bus."""
 
 OTHERWISE: dict[str, dict[str, Any]] = {
+    "RcOverride": {"safe": {"a": 0.0}},
     "CanopenActuator": {"object": "Target velocity"},
     "DbcActuator": {"safe": {"left": 0.0, "right": 0.0, "gear": 0, "count": 0}},
 }
@@ -43,7 +47,11 @@ OTHERWISE: dict[str, dict[str, Any]] = {
 def shipped() -> Iterator[type[Resource]]:
     """Return each driver for a part on a bus."""
     for module in pkgutil.walk_packages(esair.drivers.__path__, "esair.drivers."):
-        for cls in vars(importlib.import_module(module.name)).values():
+        try:
+            found = importlib.import_module(module.name)
+        except ModuleNotFoundError:  # of an extra that is not installed
+            continue
+        for cls in vars(found).values():
             if (
                 isinstance(cls, type)
                 and issubclass(cls, (Sensor, Actuator))
