@@ -94,6 +94,35 @@ class Ina219:
         self.words[register] = int.from_bytes(data)
 
 
+class Words:
+    """Registers of 16 bits."""
+
+    def __init__(self, words: dict[int, int], order: str = ">H") -> None:
+        self.words = dict(words)
+        self.order = order
+
+    def read(self, register: int, length: int) -> bytes:
+        told = struct.pack(self.order, self.words.get(register, 0))
+        return told.ljust(length, b"\0")[:length]
+
+    def write(self, register: int, data: bytes) -> None:
+        if len(data) == 2:
+            (self.words[register],) = struct.unpack(self.order, data)
+
+
+class Told:
+    """Answers the same whatever it was told."""
+
+    def __init__(self, answer: bytes) -> None:
+        self.answer = answer
+
+    def read(self, register: int, length: int) -> bytes:
+        return self.answer.ljust(length, b"\0")[:length]
+
+    def write(self, register: int, data: bytes) -> None:
+        """Take it."""
+
+
 # What makes the part, its address, what is read and what that is.
 SENSORS: dict[str, tuple[Callable[[], Any], int, str, Any]] = {
     "adafruit_sht31d:SHT31D": (Sht31, 0x44, "temperature", 25.0),
@@ -128,6 +157,72 @@ SENSORS: dict[str, tuple[Callable[[], Any], int, str, Any]] = {
         0x39,
         "proximity",
         77,
+    ),
+    "adafruit_mcp9808:MCP9808": (
+        lambda: Words({0x06: 0x0054, 0x07: 0x0400, 0x05: 25 << 4}),
+        0x18,
+        "temperature",
+        25.0,
+    ),
+    "adafruit_pct2075:PCT2075": (
+        lambda: Words({0x00: 25 << 8}),
+        0x37,
+        "temperature",
+        25.0,
+    ),
+    "adafruit_bh1750:BH1750": (
+        lambda: Told(struct.pack(">H", 1200)),
+        0x23,
+        "lux",
+        500.0,
+    ),
+    "adafruit_ina260:INA260": (
+        lambda: Words({0xFE: 0x5449, 0xFF: 0x2270, 0x02: 9600}),
+        0x40,
+        "voltage",
+        12.0,
+    ),
+    "adafruit_veml7700:VEML7700": (
+        lambda: Words({0x04: 4321}, "<H"),
+        0x10,
+        "light",
+        4321,
+    ),
+    "adafruit_mcp230xx.mcp23008:MCP23008": (
+        lambda: Registers({0x09: 0xA5}),
+        0x20,
+        "gpio",
+        0xA5,
+    ),
+    "adafruit_as5600:AS5600": (
+        lambda: Registers({0x0B: 0x20, 0x0C: b"\x04\x00"}),
+        0x36,
+        "raw_angle",
+        1024,
+    ),
+    "adafruit_tmp117:TMP117": (
+        lambda: Words({0x0F: 0x0117, 0x01: 0x2000, 0x00: 3200}),
+        0x48,
+        "temperature",
+        25.0,
+    ),
+    "adafruit_adt7410:ADT7410": (
+        lambda: Registers({0x0B: 0xCB, 0x02: 0, 0x00: struct.pack(">h", 25 * 128)}),
+        0x48,
+        "temperature",
+        25.0,
+    ),
+    "adafruit_mcp4725:MCP4725": (
+        lambda: Told(bytes((0xC0, 0x80, 0x00))),
+        0x62,
+        "raw_value",
+        2048,
+    ),
+    "adafruit_ads7830.ads7830:ADS7830": (
+        lambda: Told(b"\x80"),
+        0x48,
+        "read(0)",
+        0x8000,
     ),
     "adafruit_bno055:BNO055_I2C": (
         lambda: Waits({0x00: 0xA0, 0x1A: struct.pack("<hhh", 16 * 90, 0, 0)}),

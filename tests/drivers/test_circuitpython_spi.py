@@ -9,8 +9,10 @@ from typing import Any
 
 import pytest
 
+from esair.buses.i2c import Registers
 from esair.buses.spi import SpiRegisters
 from esair.drivers.adafruit import AdafruitActuator, AdafruitSensor, AdafruitSpi
+from esair.drivers.bme280.fake import FakeBme280
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.testing import FakeI2c, FakeSpi
 
@@ -38,6 +40,88 @@ class WritesAreMarked(SpiRegisters):
         return back
 
 
+class AsOnI2c:
+    """A chip of Bosch: the first bit of a transfer says read, not which register."""
+
+    def __init__(self, chip: Any, *, high: int = 0x80, dummy: int = 0) -> None:
+        self.chip = chip
+        self.high = high
+        self.dummy = dummy
+
+    def exchange(self, data: bytes) -> bytes:
+        """Read registers, or write pairs of a register and its value."""
+        if data[0] & 0x80:
+            register, begin = data[0] & 0x7F | self.high, 1 + self.dummy
+            return bytes(begin) + bytes(self.chip.read(register, len(data) - begin))
+        for register, value in zip(data[::2], data[1::2], strict=True):
+            self.chip.write(register | self.high, bytes((value,)))
+        return bytes(len(data))
+
+
+def _bmp280() -> AsOnI2c:
+    chip = FakeBme280()
+    chip.content[0xD0] = 0x58
+    return AsOnI2c(chip)
+
+
+def _bmp388() -> AsOnI2c:
+    calibration = struct.pack("<HHb", 0, 1 << 15, 0)
+    content: dict[int, int | bytes] = {
+        0x00: 0x50,
+        0x03: 0x60,
+        0x07: b"\0\x80\x0c",
+        0x31: calibration,
+    }
+    return AsOnI2c(Registers(content), high=0, dummy=1)
+
+
+class Pin:
+    """A pin that nothing is at."""
+
+    value = False
+    direction: Any = None
+
+    def switch_to_output(self, value: bool = False) -> None:
+        """Be one."""
+
+
+def radio(spi: Any, select: Any) -> Any:
+    """A radio of 433 to 915 MHz, by LoRa."""
+    module = importlib.import_module("adafruit_rfm9x")
+    return module.RFM9x(spi, select, Pin(), 868.0)
+
+
+def packets(spi: Any, select: Any) -> Any:
+    """A radio of 433 to 915 MHz, by packets."""
+    module = importlib.import_module("adafruit_rfm69")
+    return module.RFM69(spi, select, Pin(), 868.0)
+
+
+class Paged(AsOnI2c):
+    """Two pages of registers, of which a bit of one in both says which."""
+
+    def exchange(self, data: bytes) -> bytes:
+        """Choose the page first."""
+        if data[0] == 0x73:
+            self.high = 0 if data[1] & 0x10 else 0x80
+        return super().exchange(data)
+
+
+def _bme680() -> Paged:
+    content: dict[int, int | bytes] = {
+        0xD0: 0x61,
+        0x1D: b"\x80\0\0\0\0\x7d\0\0",
+        0x8A: b"\0\x10\0",
+    }
+    return Paged(Registers(content))
+
+
+def display(spi: Any, select: Any) -> Any:
+    """An OLED display."""
+    module = importlib.import_module("adafruit_ssd1306")
+    return module.SSD1306_SPI(128, 32, spi, Pin(), None, select)
+
+
 def _fram(data: bytes) -> bytes:
     return {0x9F: b"\0\x04\x7f\x48\x03", 0x03: b"\0\0\0\0\x2a"}.get(data[0], b"")
 
@@ -47,6 +131,15 @@ def channel(spi: Any, select: Any) -> Any:
     chip = importlib.import_module("adafruit_mcp3xxx.mcp3008").MCP3008(spi, select)
     module = importlib.import_module("adafruit_mcp3xxx.analog_in")
     return module.AnalogIn(chip, 0)
+
+
+def _input(name: str) -> Callable[[Any, Any], Any]:
+    def made(spi: Any, select: Any) -> Any:
+        module = importlib.import_module(f"adafruit_mcp3xxx.{name.lower()}")
+        analog = importlib.import_module("adafruit_mcp3xxx.analog_in")
+        return analog.AnalogIn(getattr(module, name)(spi, select), 0)
+
+    return made
 
 
 class First:
@@ -102,14 +195,32 @@ SENSORS: dict[Any, tuple[Callable[[], Any], str, Any]] = {
         "gyro",
         (0.002665, 0.0, 0.0),
     ),
+    "adafruit_bme280.basic:Adafruit_BME280_SPI": (
+        lambda: AsOnI2c(FakeBme280()),
+        "temperature",
+        21.0,
+    ),
+    "adafruit_bmp280:Adafruit_BMP280_SPI": (_bmp280, "temperature", 21.0),
+    "adafruit_bmp3xx:BMP3XX_SPI": (_bmp388, "temperature", 25.0),
+    radio: (lambda: WritesAreMarked({0x42: 18}), "frequency_mhz", 868.0),
+    packets: (
+        lambda: WritesAreMarked({0x10: 0x24, 0x27: 0x80}),
+        "frequency_mhz",
+        868.0,
+    ),
+    "adafruit_bme680:Adafruit_BME680_SPI": (_bme680, "temperature", 25.0),
+    _input("MCP3002"): (lambda: Answers(lambda _: b"\x02\0\0"), "value", 0x8000),
+    _input("MCP3004"): (lambda: Answers(lambda _: b"\0\x02\0"), "value", 0x8000),
     channel: (lambda: Answers(lambda _: b"\0\x02\0"), "value", 0x8000),
     cell: (lambda: Answers(_fram), "value", bytearray(b"\x2a")),
 }
 
 
 def package(library: Any) -> str:
-    named = {channel: "adafruit_mcp3xxx.mcp3008", cell: "adafruit_fram"}
-    module: str = named.get(library) or library.partition(":")[0]
+    named = {cell: "adafruit_fram", radio: "adafruit_rfm9x", packets: "adafruit_rfm69"}
+    if callable(library):
+        return named.get(library, "adafruit_mcp3xxx.mcp3008")
+    module: str = library.partition(":")[0]
     return module
 
 
@@ -149,6 +260,75 @@ async def test_an_actuator_tells_its_part() -> None:
 
     assert bus.log[-1].sent[-2:] == b"\x0a\xbc"
     assert len(bus.log[-1].sent) == 36
+
+
+def shifted(spi: Any, select: Any) -> First:
+    """The eight pins of a shift register."""
+    made = importlib.import_module("adafruit_74hc595").ShiftRegister74HC595(spi, select)
+    return Pins(made)
+
+
+class Pins(First):
+    """A shift register: all of its pins as one byte."""
+
+    @property
+    def value(self) -> Any:
+        """What they are."""
+        return self._made.gpio[0]
+
+    @value.setter
+    def value(self, value: Any) -> None:
+        self._made.gpio = bytearray([value])
+
+
+def segments(spi: Any, select: Any) -> Any:
+    """Digits of an LED display."""
+    digits = importlib.import_module("adafruit_max7219.bcddigits")
+    return digits.BCDDigits(spi, select, nDigits=8)
+
+
+class Channel:
+    """The last of twelve PWM outputs, which have no chip select."""
+
+    def __init__(self, made: Any) -> None:
+        self._made = made
+
+    def tell(self, value: int) -> None:
+        """Tell all of them."""
+        self._made.set_channel(0, value)
+        self._made.show()
+
+
+def pixels(spi: Any, _select: Any) -> Channel:
+    """A driver of LEDs."""
+    made = importlib.import_module("adafruit_tlc59711").TLC59711(spi, pixel_count=4)
+    return Channel(made)
+
+
+@pytest.mark.parametrize(
+    ("make", "attribute", "command", "sent"),
+    [
+        (shifted, "value", 0xA5, "a5"),
+        (segments, "brightness()", 7, "0a07"),
+        (display, "contrast()", 0x42, "42"),
+        (pixels, "tell()", 0x8001, "8001" + 18 * "00"),
+    ],
+)
+async def test_what_is_told_leaves_as_the_part_wants_it(
+    make: Any, attribute: str, command: int, sent: str
+) -> None:
+    """A register with its latch, and commands of two bytes."""
+    name = {shifted: "74hc595", segments: "max7219", display: "ssd1306"}
+    module = f"adafruit_{name.get(make, 'tlc59711')}"
+    pytest.importorskip(module, reason=f"{module} is not there")
+    bus = FakeSpi(chips={0: Answers(lambda _: b"")})
+    device = AdafruitActuator(
+        library=make, chip=0, attribute=attribute, safe=0, bus=bus
+    )
+
+    await called(device, ("write", command))
+
+    assert bus.log[-1].sent.hex().endswith(sent)
 
 
 @pytest.mark.fault("D14")
