@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from docs import parts_table
 
 from esair.config import check
 
@@ -39,6 +40,15 @@ def test_a_row_says_what_is_there(name: str, source: str, suite: str) -> None:
 
     assert ("yes" if "\nSource: " in (doc or "") else "no") == source
     assert ("yes" if suites else "no") == suite
+
+
+def test_the_table_of_parts_is_that_of_the_code() -> None:
+    """With the classes of the adapters; ``python -m docs.parts_table`` writes it."""
+    pytest.importorskip("gpiozero", reason="the extra 'gpiozero' is missing")
+
+    assert parts_table.table() in PAGE
+    for each in ("`gpiozero` `Motor`", "`adafruit_max31855:MAX31855`", "`mavlink`"):
+        assert each in PAGE
 
 
 def test_the_robot_of_the_page_has_no_mistake() -> None:
