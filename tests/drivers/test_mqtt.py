@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import subprocess
+import sys
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -241,6 +243,48 @@ async def test_a_real_broker_tells_the_last_will(mosquitto: Mosquitto) -> None:
             assert (await heard.take(timeout=5.0)).payload == b"ON"
             bus.lost(ConnectionError("the robot's process is gone"))
             assert (await heard.take(timeout=5.0)).payload == b"OFF"
+    await other.close()
+
+
+KILLED = """
+import sys
+import esair
+from esair.buses.mqtt import MqttBus
+from esair.drivers.mqtt import MqttActuator
+
+class Go(esair.Behavior):
+    pump = esair.writes(bool)
+
+    async def run(self):
+        async for _ in esair.every(0.05):
+            await self.pump.write(True)
+
+bus = MqttBus(name="house", host="127.0.0.1", port=int(sys.argv[1]))
+pump = MqttActuator(name="pump", topic="pump", safe=False, bus=bus)
+esair.run(esair.Robot(resources=[pump], behaviors=[Go()]))
+"""
+
+
+@needs_mosquitto
+@pytest.mark.long
+@pytest.mark.real_clock
+async def test_a_process_that_is_killed_leaves_the_safe_command(
+    mosquitto: Mosquitto,
+) -> None:
+    """No code of the robot runs any more: the broker tells it."""
+    other = MqttBus(name="other", host="127.0.0.1", port=mosquitto.port)
+    await other.open()
+    with await other.subscribe("pump", limit=1000) as heard:
+        robot = await asyncio.create_subprocess_exec(
+            sys.executable, "-c", KILLED, str(mosquitto.port), stderr=subprocess.DEVNULL
+        )
+        while (await heard.take(timeout=60.0)).payload != b"ON":
+            pass
+        robot.kill()
+        async with asyncio.timeout(10.0):
+            while (await heard.take()).payload != b"OFF":
+                pass
+        await robot.wait()
     await other.close()
 
 

@@ -29,7 +29,8 @@ class MqttBus(Bus):
 
     An actuator has a connection of its own, because a connection has one last will: its
     safe command. The broker publishes it as soon as that connection ends, however it
-    ends; and one and a half times ``keepalive`` after it has fallen silent.
+    ends. If it has fallen silent, that is one and a half times ``keepalive`` later, when
+    the broker looks: mosquitto looks every 5 s.
 
     Args:
         name: The name of the bus.

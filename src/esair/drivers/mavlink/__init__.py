@@ -31,7 +31,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import AsyncIterator, Callable, Mapping
-from typing import Any, Final, Required, Unpack
+from typing import Any, Final, Unpack
 
 import attrs
 
@@ -357,11 +357,6 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
         if self.message in READS:
             return READS[self.message][1](told)
         return {name: getattr(told, name) for name in told.get_fieldnames()}
-
-
-class _OverrideSettings(_ActuatorSettings, total=False):
-    channels: Required[Mapping[str, int]]
-    safe: Required[Mapping[str, float]]
 
 
 class RcOverride(_OnVehicle, Actuator[dict[str, float]]):

@@ -257,8 +257,7 @@ class MqttActuator(_OnMqtt, Actuator[Any]):
             there.
         online: What is there while the device is.
         limits: Least and greatest command.
-        own_timeout: After how many seconds without a command the device itself stops;
-            that of the last will unless given.
+        own_timeout: After how many seconds without a command the device itself stops.
         announce: What Home Assistant is told, to show it there: ``component`` and what
             that has, such as ``{component = "sensor", unit_of_measurement = "V"}``.
     """
@@ -282,9 +281,7 @@ class MqttActuator(_OnMqtt, Actuator[Any]):
         super().__init__(topic=topic, kind=kind, **settings)
         self.safe: Any = HOLD if safe == "hold" else safe
         self.limits: tuple[float, float] | None = limits
-        if own_timeout is None and self.safe is not HOLD:
-            own_timeout = 1.5 * self.bus.keepalive
-        self.own_timeout: float | None = own_timeout
+        self.own_timeout = own_timeout
         self.retain = retain
         self.claim: str = f"the topic {topic!r}"
         self._link: MqttLink | None = None
