@@ -144,6 +144,26 @@ async def test_the_last_will_is_the_safe_command() -> None:
         assert thing.told == {"pump": "OFF"}
 
 
+@pytest.mark.fault("D14")
+async def test_who_is_absent_for_long_leaves_nothing_behind() -> None:
+    """Each try of an opening ends what it has begun."""
+    bus = FakeMqtt()
+    thing = FakeThing(bus, {"tank": "1"})
+    thing.stop()
+    parts: list[Any] = [
+        MqttActuator(topic="pump", safe=False, status="thing/status", bus=bus),
+        MqttSensor(topic="tank", status="thing/status", bus=bus),
+    ]
+    async with esair.Robot(resources=parts) as robot:
+        await asyncio.sleep(300.0)
+        assert len(bus._inboxes) <= 2
+        assert len(bus._links) <= 2
+        thing.start()
+        await asyncio.sleep(8.0)
+        states = {robot.resources.query(part.name).state.name for part in parts}
+        assert states == {"READY"}
+
+
 async def test_what_waits_ends_with_the_broker() -> None:
     """A command that is not acknowledged is no longer waited for."""
     bus = FakeMqtt(timeout=60.0)

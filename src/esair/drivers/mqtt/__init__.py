@@ -292,7 +292,11 @@ class MqttActuator(_OnMqtt, Actuator[Any]):
         await self._announce()
         if self.status is not None:
             inbox = await self.bus.subscribe(self.status)
-            self._is_status(await heard(self, inbox, PATIENCE).__anext__())
+            try:
+                self._is_status(await heard(self, inbox, PATIENCE).__anext__())
+            except BaseException:
+                inbox.close()
+                raise
             self._watching = watching(self, inbox, self._signs(inbox))
         if self.safe is not HOLD:
             self._link = await self.bus.connect(
