@@ -49,6 +49,9 @@ _sleep = getattr(time, "sleep_ms", None) or (lambda value: time.sleep(value / 10
 class Need:
     """What a reaction declares to use; made by `reads`, `writes` and `guards`."""
 
+    type: "Any"
+    name: "str | None"
+    configure: bool
     max_age: "float | None"
     every: bool
     optional: bool
@@ -496,7 +499,12 @@ class Loop:
             what is wrong.
     """
 
-    now_ms = steps = late = refused = faults = said = 0
+    now_ms: int = 0
+    steps: int = 0
+    late: int = 0
+    refused: int = 0
+    faults: int = 0
+    said: int = 0
     fault: "Any"
     _run: "Any"
     fault = _run = None
@@ -509,11 +517,11 @@ class Loop:
         rate: float = 50,
         armed: bool = True,
     ) -> None:
-        self.armed = armed
+        self.armed: bool = armed
         self.say: "Callable[[str], Any]" = print
         self.inputs: "Any" = {}
         self.outputs: "Any" = {}
-        self.every = _ms(rate)  # steps in 1000 s
+        self.every: int = _ms(rate)  # steps in 1000 s
         self._slow: "Any" = []
         self.parts: "Any" = []
         self.tasks: "Any" = []

@@ -111,30 +111,30 @@ class ReactionRunner:
         began: float = 0.0,
         owner: Owner | None = None,
     ) -> None:
-        self.reaction = reaction
-        self.owner = owner
+        self.reaction: Reaction = reaction
+        self.owner: Owner | None = owner
         self._hooks = hooks
         told = reaction.reaction if isinstance(reaction, MinimalReaction) else None
-        self.clock = StepClock(began, told)
+        self.clock: StepClock = StepClock(began, told)
         reaction.take_clock(self.clock)
         loop = asyncio.get_running_loop()
         self.time = clock_of(loop)
-        self.step_time = step_time(reaction, loop)
-        self.scheduler = Scheduler.of(loop)
+        self.step_time: StepTime | None = step_time(reaction, loop)
+        self.scheduler: Scheduler = Scheduler.of(loop)
         self._stepping = Stepping.of(loop)
         names, self._react = ordered(reaction)
-        self.senses = Senses(self, names, self.grace)
-        self.outputs = Outputs(self)
+        self.senses: Senses = Senses(self, names, self.grace)
+        self.outputs: Outputs = Outputs(self)
         self.job: Job = self.scheduler.on_demand(self._turn, name=reaction.name)
         self._sampling: Sampling | None = None
         """How its steps wait for their samples, if it has a rate."""
         self._late = 0
         self._until = None if hooks.until is None else _by_name(hooks.until, reaction)
-        self.parked = True
-        self.blind = True  # whether it has not decided since it could not
+        self.parked: bool = True
+        self.blind: bool = True  # whether it has not decided since it could not
         self.flaw: BadValueError | None = None
         """Why it is parked, if that is what it has decided itself."""
-        self.stopped = False
+        self.stopped: bool = False
 
     def counts(self) -> dict[str, int]:
         senses, outputs, timed = self.senses, self.outputs, self.step_time
@@ -445,8 +445,8 @@ class StepTime:
         self._reaction = reaction
         self._budget = budget
         self._clock = clock_beside(loop)
-        self.overruns = 0  # how many have taken longer,
-        self.in_row = 0  # and how many of them the last ones
+        self.overruns: int = 0  # how many have taken longer,
+        self.in_row: int = 0  # and how many of them the last ones
 
     def begin(self) -> float:
         return self._clock()

@@ -22,7 +22,7 @@ class AnalogIn(Sensor):
     ) -> None:
         Sensor.__init__(self, name)
         self.pin = pin
-        self.scale = reference * factor / 65535
+        self.scale: float = reference * factor / 65535
 
     def open(self) -> None:
         """Make the pin an analog input."""

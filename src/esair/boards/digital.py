@@ -50,7 +50,7 @@ class DigitalOut(Actuator):
         name: The name of the actuator.
     """
 
-    safe = False
+    safe: bool = False
 
     def __init__(
         self,

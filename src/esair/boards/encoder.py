@@ -37,10 +37,10 @@ class QuadratureEncoder(Sensor):
         name: "str | None" = None,
     ) -> None:
         Sensor.__init__(self, name)
-        self.pins = (a, b)
+        self.pins: tuple[int | str, int | str] = (a, b)
         self.per_count = per_count
         self.unit = unit
-        self.counts = 0
+        self.counts: int = 0
         self._used = 0
         self._counter: Any = None
 

@@ -46,7 +46,7 @@ class I2CRegister(Sensor):
             raise ValueError("size: expected bytes, 1 or more")
         self.address = address
         self.register = register
-        self.buffer = bytearray(size)
+        self.buffer: bytearray = bytearray(size)
         self.signed = signed
         self.little = little
         self.scale = scale
@@ -56,7 +56,7 @@ class I2CRegister(Sensor):
         self.sda = sda
         self.frequency = frequency
         self.setup = setup
-        self.one = bytearray(1)
+        self.one: bytearray = bytearray(1)
 
     def open(self) -> None:
         """Take the bus, and set the part up.
@@ -69,7 +69,9 @@ class I2CRegister(Sensor):
             bus.writeto_mem(self.address, register, bytes([value]))
         self._read = bus.readfrom_mem_into
         # A register that says something else at once tells nothing about its supply.
-        self.kept = [each for each in self.setup if self._at(each[0]) == each[1]]
+        self.kept: list[tuple[int, int]] = [
+            each for each in self.setup if self._at(each[0]) == each[1]
+        ]
 
     def is_set_up(self) -> bool:
         """Tell whether its set-up is still there: not after its supply has failed.

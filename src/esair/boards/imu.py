@@ -38,7 +38,7 @@ class Imu(Sensor):
         self.scl = scl
         self.sda = sda
         self.frequency = frequency
-        self.buffer = bytearray(14)
+        self.buffer: bytearray = bytearray(14)
 
     def open(self) -> None:
         """Wake it up and set its ranges.

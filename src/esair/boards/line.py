@@ -42,14 +42,21 @@ class Line:
         lost: How many lines or messages were left out, as there was no room.
     """
 
+    came: "Any"
+    read: "Any"
+    takes: "Any"
+    write: "Any"
+
     def __init__(
         self, most: int = AT_ONCE, size: int = 768, streams: "Any" = None
     ) -> None:
-        self.buffer = bytearray(size)
-        self.first = self.used = self.lost = 0
-        self.most = max(PIECE, min(AT_ONCE, most))
-        self.tells = False  # whether this port tells when it takes something
-        self.one = bytearray(1)
+        self.buffer: bytearray = bytearray(size)
+        self.first: int = 0
+        self.used: int = 0
+        self.lost: int = 0
+        self.most: int = max(PIECE, min(AT_ONCE, most))
+        self.tells: bool = False  # whether this port tells when it takes something
+        self.one: bytearray = bytearray(1)
         self.came, self.read, self.takes, self.write = streams or _streams()
 
     def byte(self) -> int:

@@ -160,16 +160,16 @@ class FromHost(Reaction):
         seconds: How long a command is good, the actuator's command timeout.
     """
 
-    host = reads(int, name=HOST, max_age=SILENCE)
-    actuator = writes(priority=PRIORITY)
+    host: "Any" = reads(int, name=HOST, max_age=SILENCE)
+    actuator: "Any" = writes(priority=PRIORITY)
     rate = 1000  # each step: only beats are news of the host
 
     def __init__(self, actuator: str, seconds: float) -> None:
         Reaction.__init__(self, HOST + " " + actuator)
         self.target = actuator
-        self.good_ms = int(seconds * 1000)
+        self.good_ms: int = int(seconds * 1000)
         self.command: Any = None
-        self.left = 0
+        self.left: int = 0
 
     def take(self, command: "Any") -> None:
         """Want, from the next step on, what the computer has written last."""
@@ -218,33 +218,38 @@ class Link:
     ) -> None:
         self.loop = loop
         self.orders = orders
-        self.cause = CAUSES.index(cause) if cause in CAUSES else 255
+        self.cause: int = CAUSES.index(cause) if cause in CAUSES else 255
         self.arms = arms
         self.line = line
         take_ctrl_c(-1)  # a byte 3 in a message is none
-        self.damaged = 0
+        self.damaged: int = 0
         """How many messages were damaged, too long, or made no sense."""
-        self.version = 0
+        self.version: int = 0
         """That of the computer; 0 before its first beat."""
         self.host: Any = loop.inputs[HOST]
         self.host.due = False  # it is never read
         self.host.value = 0
-        self.sensors = [each for each in loop.inputs.values() if each is not self.host]
-        self.every = [0] * len(self.sensors)  # what the computer asks for, in ms
-        self.due = [0] * len(self.sensors)
-        self.told = [-1] * len(self.sensors)
-        self.beat = 0
-        self.beats = 0
-        self.faults = 0
+        self.sensors: list[Any] = [
+            each for each in loop.inputs.values() if each is not self.host
+        ]
+        self.every: list[int] = [0] * len(
+            self.sensors
+        )  # what the computer asks for, in ms
+        self.due: list[int] = [0] * len(self.sensors)
+        self.told: list[int] = [-1] * len(self.sensors)
+        self.beat: int = 0
+        self.beats: int = 0
+        self.faults: int = 0
         self.answer: "Any" = None  # what is to be told next
-        self.gap = 1000000 // loop.every
-        self.packet = bytearray(LONGEST)
-        self.message = bytearray(LONGEST)
-        self.view = memoryview(self.message)
-        self.sent = memoryview(self.packet)
-        self.used = self.left = 0
-        self.full = True
-        self.free = _free()  # once: to count takes longer than a step
+        self.gap: int = 1000000 // loop.every
+        self.packet: bytearray = bytearray(LONGEST)
+        self.message: bytearray = bytearray(LONGEST)
+        self.view: memoryview[int] = memoryview(self.message)
+        self.sent: memoryview[int] = memoryview(self.packet)
+        self.used: int = 0
+        self.left: int = 0
+        self.full: bool = True
+        self.free: int = _free()  # once: to count takes longer than a step
 
     def __call__(self) -> None:
         """Do what is due after a step; what fails is a fault, and stops no reflex."""

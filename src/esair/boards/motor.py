@@ -40,7 +40,7 @@ class HBridge(Actuator):
         name: The name of the actuator.
     """
 
-    safe = 0.0
+    safe: float = 0.0
     limits = (-1.0, 1.0)
 
     def __init__(
@@ -51,7 +51,7 @@ class HBridge(Actuator):
         name: "str | None" = None,
     ) -> None:
         Actuator.__init__(self, name)
-        self.pins = (forward, backward)
+        self.pins: tuple[int | str, int | str] = (forward, backward)
         self.frequency = frequency
 
     def open(self) -> None:
@@ -79,7 +79,7 @@ class TwoWheels(Actuator):
         name: The name of the actuator.
     """
 
-    safe = (0.0, 0.0)
+    safe: "tuple[float, float]" = (0.0, 0.0)
 
     def __init__(
         self,

@@ -14,7 +14,7 @@ class PwmServo(Actuator):
         name: The name of the actuator.
     """
 
-    safe = 0.0
+    safe: float = 0.0
     limits = (-1.0, 1.0)
 
     def __init__(
@@ -30,8 +30,8 @@ class PwmServo(Actuator):
             raise ValueError("pulse_us: expected > 0, shorter than 1/frequency")
         self.pin = pin
         self.safe = float(safe)
-        self.middle = (pulse_us[0] + pulse_us[1]) * 500
-        self.reach = (pulse_us[1] - pulse_us[0]) * 500
+        self.middle: float = (pulse_us[0] + pulse_us[1]) * 500
+        self.reach: float = (pulse_us[1] - pulse_us[0]) * 500
         self.frequency = frequency
 
     def open(self) -> None:

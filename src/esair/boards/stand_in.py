@@ -12,34 +12,34 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-inputs = {}  # type: ignore[var-annotated]
+inputs: "dict[Any, Any]" = {}
 """The level of each input pin; that of its pull unless set."""
 
-outputs = {}  # type: ignore[var-annotated]
+outputs: "dict[Any, Any]" = {}
 """Every level, or pulse in nanoseconds, that was put on a pin, in order."""
 
-analog = {}  # type: ignore[var-annotated]
+analog: "dict[Any, Any]" = {}
 """The raw value, 0 to 65535, on each analog pin."""
 
-echoes = {}  # type: ignore[var-annotated]
+echoes: "dict[Any, Any]" = {}
 """What `time_pulse_us` answers for each pin, in microseconds."""
 
-chips = {}  # type: ignore[var-annotated]
+chips: "dict[Any, Any]" = {}
 """The registers of each I2C part: address to register to byte."""
 
-used = {}  # type: ignore[var-annotated]
+used: "dict[Any, Any]" = {}
 """The pins that were used, and whether they are driven."""
 
-owners = {}  # type: ignore[var-annotated]
+owners: "dict[Any, Any]" = {}
 """Whose each of them is: the `owner` at the time, each once; a bus has many."""
 
-owner = [""]
+owner: "list[str]" = [""]
 """Who uses the pins that are made now."""
 
-received = {}  # type: ignore[var-annotated]
+received: "dict[Any, Any]" = {}
 """The bytes that wait at each serial port."""
 
-handlers = {}  # type: ignore[var-annotated]
+handlers: "dict[Any, Any]" = {}
 """Who is called back for each pin, and the pin."""
 
 
@@ -102,7 +102,7 @@ class HardwareEncoder:
     def __init__(self, unit: int, a: Pin, b: Pin, phases: int = 1) -> None:
         if phases != 4:
             raise ValueError("phases")
-        self.count = 0
+        self.count: int = 0
         self._pins = (a, b)
         self._last = (a.value(), b.value())
         for each in self._pins:
@@ -135,7 +135,7 @@ class PWM:
         duty_ns: "int | None" = None,
         duty_u16: "int | None" = None,
     ) -> None:
-        self.number = pin.number
+        self.number: int | str = pin.number
         used[pin.number] = True
         if duty_ns is not None:
             self.duty_ns(duty_ns)
@@ -162,7 +162,7 @@ class ADC:
     """An analog input."""
 
     def __init__(self, pin: Pin) -> None:
-        self.number = pin.number
+        self.number: int | str = pin.number
 
     def read_u16(self) -> int:
         """Give the raw value."""
@@ -240,7 +240,7 @@ SOFT_RESET = 5
 cause = PWRON_RESET
 """What `reset_cause` answers."""
 
-fed = []  # type: ignore[var-annotated]
+fed: "list[Any]" = []
 """The time-out of each watchdog that was made, in milliseconds, then 0 for each feed."""
 
 

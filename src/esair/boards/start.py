@@ -70,21 +70,23 @@ class Start:
     ) -> None:
         self.loop = loop
         self.arm = arm
-        self.parts = [each for each in parts if hasattr(each, "is_set_up")]
-        self.word = b""
+        self.parts: list[Any] = [each for each in parts if hasattr(each, "is_set_up")]
+        self.word: bytes = b""
         self.pin: "Any" = None
-        self.armed = arm == "always"
-        self.second = -1
-        self.count = True
-        self.repaired = 0
+        self.armed: bool = arm == "always"
+        self.second: int = -1
+        self.count: bool = True
+        self.repaired: int = 0
         """How many times a part was set up again."""
-        self.cause = reset_cause()
+        self.cause: str = reset_cause()
         self.watchdog = watchdog
         self.feed: "Any" = None
         loop.arm(self.armed)
-        self.line = Line(8000000 // loop.every)
+        self.line: Line = Line(8000000 // loop.every)
         # Given, not imported here: a board without a link has no file of it.
-        self.link = link and link(loop, orders, self.cause, arm == "host", self.line)
+        self.link: Any = link and link(
+            loop, orders, self.cause, arm == "host", self.line
+        )
         loop.say = self.line.say
         if link:  # a fault travels in the beat
             loop.say = str

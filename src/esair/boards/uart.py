@@ -33,7 +33,7 @@ class UartNumbers(Sensor):
         self.separator = separator
         self.tx = tx
         self.rx = rx
-        self.waiting = b""
+        self.waiting: bytes = b""
 
     def open(self) -> None:
         """Take the port."""

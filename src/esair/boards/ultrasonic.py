@@ -32,7 +32,7 @@ class UltrasonicRange(Sensor):
         Sensor.__init__(self, name)
         self.trigger = trigger
         self.echo = echo
-        self.timeout_us = int(2 * reach / self.SPEED * 1000000)
+        self.timeout_us: int = int(2 * reach / self.SPEED * 1000000)
         self._silent = False
 
     def open(self) -> None:

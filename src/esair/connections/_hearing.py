@@ -97,11 +97,13 @@ class Asking:
         self._polled_in = 0
         self._soon: asyncio.Handle | None = None
         """Asks the device in the next turn, for all who have asked in this one."""
-        self.waiting = WaitingReaders(device.name, device.loop, silent)
-        self.awaited_in = self.transactions = self.missed = 0
-        self.latency = 0.0
+        self.waiting: WaitingReaders = WaitingReaders(device.name, device.loop, silent)
+        self.awaited_in: int = 0
+        self.transactions: int = 0
+        self.missed: int = 0
+        self.latency: float = 0.0
         self.busy: Call | bool = False
-        self.rate = 0.0
+        self.rate: float = 0.0
 
     def configured(self, sensor: Sensor[Any]) -> None:
         """Take over a changed deadline, or rate."""
@@ -279,7 +281,7 @@ class WaitingReaders:
         self._deadline = Deadlines.of(loop).idle(self._expire)
         """That of the reader whose time is over first."""
         self.readers: list[Waiter] = []  # who waits
-        self.turned_away = 0
+        self.turned_away: int = 0
 
     async def reading(self, need: float, timeout: float) -> Reading[Any]:
         """Wait for what transaction `need` gives, or a later one."""

@@ -89,12 +89,12 @@ class SensorChannel(Device):
     def __init__(self, sensor: Sensor[Any], robot: OfRobot) -> None:
         super().__init__(sensor.name, robot)
         self.newest: Reading[Any] | None = None
-        self.bad = 0
+        self.bad: int = 0
         """How many readings were of a wrong type, not finite, or outside the limits."""
-        self.dropped = 0  # how many readings a slow follower has not seen
-        self.sequence = 0
+        self.dropped: int = 0  # how many readings a slow follower has not seen
+        self.sequence: int = 0
         self._followers: tuple[Follower, ...] = ()
-        self.asking = Asking(
+        self.asking: Asking = Asking(
             self, publish=self.publish, fail=self._fail, silent=self._silent
         )
         self._listening = Listening(
@@ -118,7 +118,8 @@ class SensorChannel(Device):
         sensor = self.sensor
         self.asking.configured(sensor)
         if sensor.can_be_asked:
-            self.good_for, self.max_age = 1.0 / sensor.rate, PERIODS / sensor.rate
+            self.good_for: float = 1.0 / sensor.rate
+            self.max_age: float = PERIODS / sensor.rate
         else:
             self.good_for = math.inf
             self.max_age = math.inf if sensor.period is None else sensor.period
@@ -431,7 +432,7 @@ class Computation(NamedTuple):
 class DerivedChannel(SensorChannel):
     """Reads what is computed of other readings; it has no device that is asked."""
 
-    computation = Computation()
+    computation: Computation = Computation()
 
     def configured(self) -> None:
         """Take over changed settings: how long a reading is good is no setting."""

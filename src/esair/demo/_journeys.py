@@ -175,7 +175,7 @@ class Charge(Behavior):
     def __init__(self, *, seconds: float = 20.0, name: str | None = None) -> None:
         super().__init__(name=name)
         self.seconds = seconds
-        self.level = 0.0  # How full the battery is: 0 to 1
+        self.level: float = 0.0  # How full the battery is: 0 to 1
 
     async def run(self) -> None:
         """Hold the wheels still meanwhile: nobody drives away with a cable."""

@@ -96,7 +96,7 @@ class Bump(Reaction):
 
     def __init__(self, *, name: "str | None" = None) -> None:
         super().__init__(name)
-        self.bumps = 0
+        self.bumps: int = 0
         """How often something was touched."""
         self._left = 0
         self._turn = 0.0

@@ -97,11 +97,11 @@ class LengthCrc(Framing):
         trailer: bytes | str = b"",
     ) -> None:
         super().__init__(max_length=max_length)
-        self.sync = _bytes_of("sync", sync)
-        self.sent = self.sync if sent is None else _bytes_of("sent", sent)
-        self.trailer = _bytes_of("trailer", trailer)
-        self.header = check_whole("framing", "header", header, 0, 16)
-        self.counted = check_whole("framing", "counted", counted, -16, 16)
+        self.sync: bytes = _bytes_of("sync", sync)
+        self.sent: bytes = self.sync if sent is None else _bytes_of("sent", sent)
+        self.trailer: bytes = _bytes_of("trailer", trailer)
+        self.header: int = check_whole("framing", "header", header, 0, 16)
+        self.counted: int = check_whole("framing", "counted", counted, -16, 16)
         check_choice("framing", "length_size", length_size, (1, 2))
         check_choice("framing", "byteorder", byteorder, ("big", "little"))
         check_choice("framing", "crc", crc, _CRCS)

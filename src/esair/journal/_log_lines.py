@@ -44,7 +44,7 @@ class Beside:
     """
 
     def __init__(self, show: Callable[[logging.LogRecord], object]) -> None:
-        self.dropped = 0
+        self.dropped: int = 0
         self._show = show
         # Not a Queue: a signal handler may log amid the line that it interrupts.
         self._waiting: queue.SimpleQueue[

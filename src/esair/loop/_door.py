@@ -206,7 +206,7 @@ class Door(OfTurn):
         """The threads that wait for time to pass, or for the outside."""
         self._outside: set[object] = set()
         """The threads whose work is to wait for the outside."""
-        self.wakes = False
+        self.wakes: bool = False
         self.bell: Bell = Bell(turn)
         self._works = itertools.count(1)
         self.number: int = 0  # how many entries have come in

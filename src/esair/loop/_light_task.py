@@ -175,7 +175,7 @@ class LightTask(asyncio.Future[None]):
         self._running_on = loop
         self.caller: Caller | None = None
         """Whose coroutine it runs; asked for what it is only when somebody wants to know."""
-        self.lined = 0.0
+        self.lined: float = 0.0
         """How long its coroutine has waited for turns on a bus, in seconds."""
         self._name = name
         self._context: contextvars.Context | None = None

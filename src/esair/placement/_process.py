@@ -57,13 +57,13 @@ class Process:
         died: Callable[[ProcessDiedError], object],
     ) -> None:
         self.values = values
-        self.name = values.name
+        self.name: str = values.name
         self.pid: int | None = None
         self.error: ProcessDiedError | None = None
         """Why it is gone; None while it lives."""
         self.scopes: dict[int, contextvars.Context] = {}
         """For whom the child works, by the number of the call that it works for."""
-        self.sent = 0.0  # when the message was sent that it works on
+        self.sent: float = 0.0  # when the message was sent that it works on
         self._serve, self._withdraw, self._died = serve, withdraw, died
         self._loop = loop = asyncio.get_running_loop()
         self._time = clock_of(loop)

@@ -56,7 +56,7 @@ class Seats:
         self.kinds = kinds_of_robot(components)
         self.seed = seed
         self.command_timeout = command_timeout
-        self.nursery = Nursery.hold()
+        self.nursery: Nursery = Nursery.hold()
         self._taken: dict[Seat, None] = {}
 
     async def ready(self) -> None:
@@ -95,7 +95,7 @@ class Seat:
         self.name: str = component.name
         self.process: Process | None = None
         self._recipe = recipe_of(component)  # now: later it knows its robot
-        self.lost = 0
+        self.lost: int = 0
         """How many of its processes have died."""
         self._seats = seats
         self._values = Values(self.name, seats.kinds)

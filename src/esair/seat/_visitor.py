@@ -96,7 +96,7 @@ class Entry:
     def __init__(
         self, bound: socket.socket, backlog: int, make: Callable[[], asyncio.Protocol]
     ) -> None:
-        self.newcomers = 0  # How many have come in
+        self.newcomers: int = 0  # How many have come in
         self._loop = asyncio.get_running_loop()
         self._bound = bound
         self._make = make

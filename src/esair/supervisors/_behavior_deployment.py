@@ -105,7 +105,7 @@ class BehaviorDeployment:
         """The context variables of the script; those of its behaviors begin so."""
         self.verbs: abc.Supervisor | None = None
         """Does what a behavior asks for that may manage others."""
-        self.turns = Turns(self, modes)
+        self.turns: Turns = Turns(self, modes)
         """Which mode the robot is in."""
         resources.mode = lambda: self.turns.mode
         self._managers = {

@@ -56,8 +56,8 @@ class Opener:
         # Its own: the channel goes on with those of a successor.
         self.driver = channel.driver
         self.calls = channel.calls
-        self.is_open = False
-        self.newest = 0  # the number of the driver's newest call of ``open``
+        self.is_open: bool = False
+        self.newest: int = 0  # the number of the driver's newest call of ``open``
         self._identity: Any = resource.identity
         """What the device answered when it was asked for the first time who it is."""
         self.watch: Watch | None = None

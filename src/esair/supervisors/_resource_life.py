@@ -73,14 +73,14 @@ class ResourceLife:
         opener: Opener,
     ) -> None:
         self.resource = resource
-        self.name = resource.name
-        self.life = Life(resource.name, restart, channel.registrations.journal)
+        self.name: str = resource.name
+        self.life: Life = Life(resource.name, restart, channel.registrations.journal)
         self.channel = channel
         self.seat: Seat | None = None
         """Its place if its driver runs in a process of its own."""
-        self.losses = 0
-        self.faults = 0
-        self.no_turns = 0
+        self.losses: int = 0
+        self.faults: int = 0
+        self.no_turns: int = 0
         """How many calls its bus had no time for."""
         self.tried: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         """Done when the device was tried for the first time."""
@@ -95,7 +95,7 @@ class ResourceLife:
         self._arrived = False  # somebody said meanwhile that the device is there
         self._faults_in_row = 0
         self._successes = 0
-        self.is_over = False
+        self.is_over: bool = False
         """The resource was removed, or another one has its place."""
         self.device = opener
         self.device.calls.on_late_open = self._opened_late

@@ -66,8 +66,8 @@ class Watch:
         self._armory = armory
         self._watchdog = armory.watchdog
         self._is_open = False
-        self.why = "it is not open"  # why it is not watched; empty if it is
-        self.unarmed = ""
+        self.why: str = "it is not open"  # why it is not watched; empty if it is
+        self.unarmed: str = ""
         """Why it is not watched though it is open and could be; empty if it is."""
 
     async def open(self) -> None:

@@ -104,7 +104,7 @@ class I2CBus(LinkBus[RegisterLink]):
         super().__init__(name=name, timeout=timeout, wire=wire)
         self.place: int | str = kernel.check_place(name, bus)
         self.pec = pec
-        self.clock = check_whole(name, "clock", clock, 1)
+        self.clock: int = check_whole(name, "clock", clock, 1)
         self._is_removable = False
 
     @property

@@ -48,8 +48,11 @@ class FakeVehicle:
         self._period = period
         self._own_timeout = own_timeout
         self._told_at = -math.inf
-        self.north = self.east = self.yaw = self.speed = 0.0
-        self.sticks = [MIDDLE, MIDDLE]
+        self.north: float = 0.0
+        self.east: float = 0.0
+        self.yaw: float = 0.0
+        self.speed: float = 0.0
+        self.sticks: list[int] = [MIDDLE, MIDDLE]
         self.heard: dict[str, Any] = {}
         self.silent = False
         self._silent_until = -math.inf
