@@ -105,6 +105,22 @@ async def test_readings_are_in_units_of_the_house() -> None:
         assert await anext(raw.stream()) == pytest.approx(math.pi)
 
 
+async def test_a_vehicle_that_signs_is_heard_too() -> None:
+    """Its signature is left out; packets with other flags are not read."""
+    line = FakeSerial(framing="mavlink")
+    mav = line.framing.dialect.MAVLink(None, 1, 1)
+    mav.signing.secret_key, mav.signing.sign_outgoing = bytes(range(32)), True
+    beat = line.framing.dialect.MAVLink_heartbeat_message(10, 3, 128, 0, 4, 3)
+    sensor = MavlinkSensor(bus=line)
+    line.repeat(lambda: bytes(beat.pack(mav)), 0.5)
+    async with opened(sensor):
+        assert await anext(sensor.stream()) == Heartbeat(True, 0, 4, 10)
+        talk = sensor._talk
+        plain = line.framing.feed(bytes(beat.pack(mav)))[0]
+        assert talk.decoded(plain, 1, 0) is not None
+        assert talk.decoded(b"\x02" + plain[1:], 1, 0) is None
+
+
 async def test_sticks_that_are_not_held_let_go() -> None:
     """The vehicle's own time-out ends what was told last; its station is known to it."""
     line = FakeSerial(framing="mavlink")

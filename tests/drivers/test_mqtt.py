@@ -97,6 +97,10 @@ class TestActuatorWithoutStatus(Thing, ActuatorContract):
         ("switch", None, b"off", None),
         ("text", None, "grün".encode(), "grün"),
         ("text", None, b"\xff", None),
+        ("number", "x", b'{"x": 1%b}' % (400 * b"0"), None),
+        ("json", None, 100_000 * b"[", None),
+        ("number", "x", b"{}", None),
+        ("number", "x", b"3", None),
         ("json", None, b"[1]", [1]),
     ],
 )

@@ -136,6 +136,24 @@ async def test_a_refusal_is_told_by_its_name(code: int, told: str) -> None:
             await sensor.read()
 
 
+@pytest.mark.parametrize("answer", ["027f22", "0162", "0362f4", "056200000102", "10"])
+async def test_half_an_answer_is_none(answer: str) -> None:
+    """Whatever comes is a fault, a silence, or nothing; the next answer counts."""
+    can = FakeCan()
+    unit = FakeUnit(can, VALUES)
+    sensor = UdsSensor(identifier=0xF405, layout="B", bus=can)
+    async with opened(sensor):
+        unit.silent = True
+        asking = asyncio.ensure_future(sensor.read())
+        await asyncio.sleep(0.1)
+        can.feed(0x7E8, bytes.fromhex(answer))
+        with pytest.raises((DeviceFaultError, DriverStuckError)):
+            await asking
+        unit.silent = False
+        await asyncio.sleep(1.0)
+        assert await sensor.read() == 123.0
+
+
 async def test_what_does_not_fit_is_a_fault() -> None:
     """Neither the answer of another layout nor a command that is too great is used."""
     can = FakeCan()

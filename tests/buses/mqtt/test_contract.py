@@ -39,7 +39,7 @@ class TestMosquitto(TestFakeMqtt):
 
     def make(self) -> MqttBus:
         return MqttBus(
-            name="house", host="127.0.0.1", port=self.broker.port, timeout=0.5
+            name="house", host="127.0.0.1", port=self.broker.port, timeout=1.5
         )
 
     async def unplug(self, bus: Any) -> None:

@@ -67,6 +67,9 @@ STATION: Final = 255, 190
 ARMED: Final = 128
 """The bit of a base mode that says that the motors have power."""
 
+SIGNED: Final = 1
+"""The flag of a packet that has a signature behind its checksum."""
+
 BEAT: Final = 1.0
 """Between two heartbeats, in seconds."""
 
@@ -195,6 +198,10 @@ class _Talk:
         )
         if told != number or payload[at] != system:
             return None
+        if not self._is_old:
+            if payload[0] & ~SIGNED:
+                return None  # the standard: what is not known is not to be read
+            payload = b"\0" + payload[1:]  # its signature was left out
         return self._mav.decode(bytearray(self._framing.encode(payload)))
 
 

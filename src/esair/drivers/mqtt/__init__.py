@@ -220,7 +220,13 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
                     continue
                 try:
                     yield self._decoded(message.payload)
-                except (ValueError, LookupError, TypeError):
+                except (
+                    ValueError,
+                    LookupError,
+                    TypeError,
+                    ArithmeticError,
+                    RecursionError,
+                ):
                     self.bad_payloads += 1
 
     def _decoded(self, payload: bytes) -> Any:
