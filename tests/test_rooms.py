@@ -57,7 +57,9 @@ PARTS_OF_ONE = {
         *("_outputs", "_reaction_runner", "_senses"),
         *("_blocking", "_needs"),
     },
-    "esair.loop": {"_deadlines", "_door", "_of_loop", "_scheduler", "_turn"},
+    "esair.loop": {
+        *("_deadlines", "_door", "_of_loop", "_scheduler", "_tape", "_turn"),
+    },
     "esair.connections": {
         *("_actuator_channel", "_device", "_gate"),
         *("_protection", "_registrations", "_sensor_channel", "_turns"),

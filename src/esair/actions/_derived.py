@@ -211,14 +211,14 @@ class Derivation(ReactionRunner):
         self._is_current = False
         self.clock.step(now)
         stepping = self._stepping
-        stepping.stepper = self
+        stepping.owner = self.owner
         try:
             value = self.reaction.react(**senses.by_name())
         except BaseException as error:  # contained: one component's failure
             channel.fail(error)
             return
         finally:
-            stepping.stepper = None
+            stepping.owner = None
         if value is None:
             return
         needed = [each for each in senses.inputs if not each.optional]

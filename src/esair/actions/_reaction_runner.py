@@ -286,7 +286,7 @@ class ReactionRunner:
         if clock.reaction is not None:
             clock.tell()
         stepping = self._stepping
-        stepping.stepper = self
+        stepping.owner = self.owner
         react = self._react  # hot: by itself
         try:
             values = senses.values
@@ -295,7 +295,7 @@ class ReactionRunner:
             self.crash(error)
             return
         finally:
-            stepping.stepper = None
+            stepping.owner = None
         if self._until is not None and self._is_over():
             return
         output = self.outputs.single
@@ -416,11 +416,11 @@ class GuardRunner(ReactionRunner):
         first = timed.begin() if timed is not None else 0.0
         self.clock.step(began)
         stepping = self._stepping
-        stepping.stepper, before = self, stepping.stepper
+        stepping.owner, before = self.owner, stepping.owner
         try:
             passed = self.reaction.react(**senses.by_name(), **{self._port: command})
         finally:
-            stepping.stepper = before
+            stepping.owner = before
         if timed is None:
             return passed
         failed = timed.end(first)

@@ -14,7 +14,7 @@ import inspect
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import attrs
 
@@ -209,13 +209,6 @@ class End(NamedTuple):
 Apply = Callable[["Call", End], None]
 
 
-class Engine(Protocol):
-    """What drives a call that waits."""
-
-    def cancel(self) -> object:
-        """Ask the driver's code to end."""
-
-
 @attrs.define(eq=False, repr=False)
 class Call:
     """One call of a driver that waits; one that ends in its first step is over at once."""
@@ -233,7 +226,7 @@ class Call:
     """What its caller was told; None while nobody was told anything."""
     cancelled: bool = False  # its caller has gone; what it still does is nobody's fault
     owner: object = None  # the right by which it was begun, if it needs one
-    engine: Engine | None = None
+    engine: LightTask | ThreadedCall | None = None
     until: float = math.inf  # when its time is over, on the loop's clock
     limit: float = math.inf  # for how many seconds that was
     waiters: list[asyncio.Future[None]] = attrs.field(factory=list)

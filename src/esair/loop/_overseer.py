@@ -20,7 +20,6 @@ import time
 import traceback
 from collections.abc import Callable
 from types import FrameType
-from typing import Protocol
 
 import anyio
 
@@ -31,11 +30,8 @@ from esair.loop._ownership import current_owner
 JOIN = 1.0  # how long the last one who leaves waits for the thread, in seconds
 
 
-class Sentinel(Protocol):
-    """Something that the overseer looks at now and then."""
-
-    def look(self, now: float) -> float:
-        """Look; return the moment of the next look, on the monotonic clock."""
+Look = Callable[[float], float]
+"""Looks at something; returns the moment of the next look, on the monotonic clock."""
 
 
 class Overseer:
@@ -47,16 +43,16 @@ class Overseer:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._sentinels: tuple[Sentinel, ...] = ()
+        self._looks: tuple[Look, ...] = ()
         self._thread: threading.Thread | None = None
         self._read_fd = -1
         self.wake_fd = -1  # where a byte wakes the thread; 0 means nothing but that
         self.on_bytes: Callable[[bytes], None] = lambda _data: None
         """Called with what else was written there, in whatever thread has read it."""
 
-    def join(self, sentinel: Sentinel) -> None:
+    def join(self, look: Look) -> None:
         with self._lock:
-            self._sentinels = (*self._sentinels, sentinel)
+            self._looks = (*self._looks, look)
             if self._thread is None:
                 self._read_fd, self.wake_fd = os.pipe()
                 os.set_blocking(self._read_fd, False)
@@ -67,11 +63,11 @@ class Overseer:
                 self._thread.start()
         self.wake()
 
-    def leave(self, sentinel: Sentinel) -> None:
+    def leave(self, look: Look) -> None:
         """Look at something no more; the last one ends the thread."""
         with self._lock:
-            left = tuple(each for each in self._sentinels if each is not sentinel)
-            self._sentinels = left
+            left = tuple(each for each in self._looks if each != look)
+            self._looks = left
             thread = self._thread
             if left or thread is None or thread is threading.current_thread():
                 return
@@ -112,7 +108,7 @@ class Overseer:
         me = threading.current_thread()
         while self._thread is me:
             now = time.monotonic()
-            due = min((each.look(now) for each in self._sentinels), default=math.inf)
+            due = min((look(now) for look in self._looks), default=math.inf)
             pause = max(0.0, due - time.monotonic())
             poll.poll(None if pause == math.inf else math.ceil(pause * 1e3))
             self.drain()
@@ -144,12 +140,12 @@ class StallWatch(OfLoop):
         self._thread = threading.get_ident()
         self._limits.append(limit)
         if len(self._limits) == 1:
-            overseer.join(self)
+            overseer.join(self.look)
 
     def stop(self, limit: float) -> None:
         self._limits.remove(limit)
         if not self._limits:
-            overseer.leave(self)
+            overseer.leave(self.look)
             self._asked = None
 
     def look(self, now: float) -> float:
@@ -247,10 +243,10 @@ class Ending:
         self.heard: bool = False  # whether the loop has heard of it
 
     def start(self) -> None:
-        overseer.join(self)
+        overseer.join(self.look)
 
     def stop(self) -> None:
-        overseer.leave(self)
+        overseer.leave(self.look)
 
     def because(self, moment: float, code: int = 1) -> None:
         """Take note of a reason to end; the earliest counts."""

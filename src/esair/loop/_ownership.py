@@ -13,7 +13,7 @@ import random
 import threading
 import weakref
 from collections.abc import Callable, Coroutine, Generator, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from esair.loop._of_loop import OfLoop
 
@@ -347,23 +347,13 @@ def _nobody() -> object:
 _outside = random.Random()  # for code that belongs to no component
 
 
-class Stepper(Protocol):
-    """What steps for somebody."""
-
-    owner: Owner | None
-
-
 class Stepping(OfLoop):
     """Whose reaction decides now, in one event loop."""
 
-    __slots__ = ("stepper",)
+    __slots__ = ("owner",)
 
     def __init__(self, _loop: asyncio.AbstractEventLoop | None = None) -> None:
-        self.stepper: Stepper | None = None
-
-    @property
-    def owner(self) -> Owner | None:
-        return None if self.stepper is None else self.stepper.owner
+        self.owner: Owner | None = None
 
 
 class Stream:

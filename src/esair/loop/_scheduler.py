@@ -87,19 +87,6 @@ class Callee(Protocol):
         """What to call, with the time of the turn."""
 
 
-class Queue(Protocol):
-    """Takes jobs that are to be called in the next turn."""
-
-    def queue(self, job: Job) -> None:
-        """Call the step of a job in the next turn."""
-
-    def derive(self, job: DerivedJob) -> None:
-        """Call a job before the steps of a turn."""
-
-    def drop(self, group: RateGroup) -> None:
-        """Call nothing of a group any more."""
-
-
 def contained(
     loop: asyncio.AbstractEventLoop, function: Callable[..., object], *arguments: Any
 ) -> None:
@@ -151,7 +138,7 @@ class Job:
 
     def __init__(
         self,
-        scheduler: Queue,
+        scheduler: Scheduler,
         function: Step,
         group: RateGroup | None,
         *,
@@ -164,7 +151,7 @@ class Job:
         is called by somebody else, when there is an answer."""
         self.near: tuple[object, ...] = ()
         """What the step looks at, as long as the job is not stopped."""
-        self.scheduler: Queue = scheduler
+        self.scheduler: Scheduler = scheduler
         self.function: Step = function
         self.group: RateGroup | None = group
         self.order: Order = order
@@ -217,7 +204,9 @@ class DerivedJob(Job):
 
     __slots__ = ("depth",)
 
-    def __init__(self, scheduler: Queue, function: Step, name: str, depth: int) -> None:
+    def __init__(
+        self, scheduler: Scheduler, function: Step, name: str, depth: int
+    ) -> None:
         super().__init__(
             scheduler, function, None, order=Order.STEP, name=name, number=0
         )

@@ -119,7 +119,7 @@ class SignalDesk:
 
     def join(self, watch: SignalWatch, *, interrupts: bool) -> bool:
         if not self._watches:
-            overseer.join(self)
+            overseer.join(self.look)
         self._watches = (*self._watches, watch)
         is_main = threading.current_thread() is threading.main_thread()
         if is_main:
@@ -137,7 +137,7 @@ class SignalDesk:
             self._uninstall()
         self._numbers = itertools.count(1)
         self._first, self._last_word = 0, math.inf
-        overseer.leave(self)
+        overseer.leave(self.look)
 
     def leave_to(self, handler: Callable[[int, FrameType | None], None]) -> None:
         """Put this in the place of the handlers, not what was there before."""

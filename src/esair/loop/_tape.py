@@ -11,10 +11,13 @@ import collections
 import threading
 import time
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from esair.exceptions import DeviceLostError
 from esair.loop._light_task import ignore
+
+if TYPE_CHECKING:
+    from esair.loop._door import Door
 
 Tag = tuple[str, ...]
 """Which call it is the end of, or who tells something: such as ``("sonar", "read")``."""
@@ -36,18 +39,6 @@ class Entry(NamedTuple):
     tag: Tag
     function: Callable[..., object]  # what lets it take effect, in the loop
     arguments: tuple[Any, ...]
-
-
-class WayIn(Protocol):
-    """What a replay needs of the door."""
-
-    divert: Callable[[Entry], object] | None
-
-    def bring(self, entry: Entry) -> None:
-        """Bring in an entry, from any thread."""
-
-    def end(self, tag: Tag, function: Callable[..., object], *arguments: Any) -> None:
-        """Bring in the end of something in the loop itself."""
 
 
 class Arrived(NamedTuple):
@@ -139,7 +130,7 @@ class Player:
         """Why the rest of the tape cannot be read; None if it can."""
         self.on_over = over
         self.is_over: bool = False
-        self._door: WayIn | None = None
+        self._door: Door | None = None
         self._counts: collections.Counter[Tag] = collections.Counter()
         self._ends: dict[tuple[Tag, int], Callable[[Any], object]] = {}
         self._listeners: dict[Tag, Callable[[Any], object]] = {}
@@ -153,7 +144,7 @@ class Player:
         if self.next_turn() is not None:
             self.began = self.moment
 
-    def begin(self, door: WayIn) -> None:
+    def begin(self, door: Door) -> None:
         """The recorded part of the run begins."""
         self._door = door
         door.divert = self._come

@@ -398,14 +398,14 @@ class Child:
         for each in {reaction, getattr(reaction, "reaction", reaction)}:
             each.now_ms, each.elapsed_ms = now_ms, elapsed_ms
         stepping = Stepping.of(self.loop)
-        stepping.stepper = self  # whose random numbers it draws
+        stepping.owner = self.owner  # whose random numbers it draws
         try:
             assert self._react is not None
             return self._react(*values)
         except BaseException as error:
             raise raisable(error, "the reaction") from error
         finally:
-            stepping.stepper = None
+            stepping.owner = None
 
     def _device_said(self, error: BaseException | None) -> None:
         if error is None:
