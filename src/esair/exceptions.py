@@ -439,6 +439,14 @@ def describe(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
+def wants_traceback() -> bool:
+    """Tell whether this program shall show how its errors came about."""
+    import os
+    import sys
+
+    return "--traceback" in sys.argv or bool(os.environ.get("ESAIR_TRACEBACK"))
+
+
 def told_traceback(error: BaseException) -> str:
     """Return a traceback as Python prints it; what the errors say is escaped.
 

@@ -236,17 +236,20 @@ def test_a_signal_makes_the_motor_safe(folder, start, number) -> None:
 
 
 def test_a_behavior_that_fails_for_good_is_exit_code_1(folder, start) -> None:
-    """Its error is one line, its actuator safe; the traceback is there on demand."""
+    """Its error is one block, its actuator safe; the traceback is there on demand."""
     where = folder("Crash")
     process = start("run", "robot.toml", cwd=where)
     _, log = process.communicate(timeout=60)
 
     assert process.returncode == 1
-    assert "RuntimeError: on purpose" in log.splitlines()[-1]
+    what, place, todo = log.splitlines()[-3:]
+    assert "RuntimeError: on purpose" in what
+    assert place.startswith("  where: ")
+    assert todo.startswith("  to do: ")
     assert "Traceback" not in log
     assert sent(where)[-1] == 0.0
 
-    process = start("run", "robot.toml", "--verbose", cwd=where)
+    process = start("run", "robot.toml", "--traceback", cwd=where)
     assert "Traceback" in process.communicate(timeout=60)[1]
 
 

@@ -20,14 +20,14 @@ LAST_MOMENT: Final = 1.0  # How long the end waits for the records that wait, in
 
 
 @contextlib.contextmanager
-def shown_log(*, verbose: bool) -> Iterator[None]:
+def shown_log(*, verbose: bool, tracebacks: bool = False) -> Iterator[None]:
     """Show the log on the standard error while a robot runs.
 
     A terminal gets columns; a file or a pipe gets one line for each record. A thread of
     its own writes, so a terminal that takes nothing more (a pipe that nobody reads, a
     suspended session) never holds up the robot, nor its end.
     """
-    handler = _Handler(_shown(_console()), tracebacks=verbose)
+    handler = _Handler(_shown(_console()), tracebacks=verbose or tracebacks)
     log = logging.getLogger()
     levels = {"": logging.WARNING, "esair": logging.INFO, "asyncio": logging.WARNING}
     if verbose:

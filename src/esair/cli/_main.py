@@ -73,7 +73,7 @@ def _run(arguments: list[str]) -> int:
         return verb(*bound.args, **bound.kwargs) or 0
     except Exception as error:
         code = exit_code_of(error)
-        if code is None:
+        if code is None or "--traceback" in arguments:
             raise
         return code
 

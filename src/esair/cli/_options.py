@@ -47,6 +47,7 @@ class Running:
         placement: Where components live, whatever the file says, as NAME=process or
             NAME=task.
         verbose: Show every line of the log.
+        traceback: Show how an error came about, too.
     """
 
     seconds: Seconds = None
@@ -56,3 +57,4 @@ class Running:
     realtime: Annotated[list[int] | None, MaybeNamed] = None
     placement: list[str] | None = None
     verbose: Verbose = False
+    traceback: bool = False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +17,8 @@ from esair import config
 from esair.cli._errors import CANNOT_USE, NOT_DONE, counted, tell, wrong_seconds
 from esair.cli._log import shown_log
 from esair.cli._options import Running
-from esair.exceptions import EsairError, describe
+from esair.exceptions import EsairError
+from esair.standard import told
 
 _AS_SAID = Running()
 
@@ -77,18 +78,20 @@ def _drive(
     try:
         robot = config.build(described, _with(described, options))
     except EsairError as error:
-        return _not_started([error])
+        return _not_started(error)
     console.print(_headline(described))
     try:
-        with shown_log(verbose=options.verbose):
+        with shown_log(verbose=options.verbose, tracebacks=options.traceback):
             esair.run(robot, duration=options.seconds, loop_factory=loop_factory)
     except EsairError as error:
-        return _not_started([error])
+        if options.traceback:
+            raise
+        return _not_started(error)
     except ExceptionGroup as group:
         errors, rest = group.split(EsairError)
-        if errors is None or rest is not None:
+        if errors is None or rest is not None or options.traceback:
             raise
-        return _not_started(errors.exceptions)
+        return _not_started(*errors.exceptions)
     # What each actuator was told at the end is in the log.
     return 0 if all(told.answered for told in robot.stopped) else NOT_DONE
 
@@ -148,8 +151,8 @@ def _headline(described: config.Description) -> Text:
     return text
 
 
-def _not_started(errors: Sequence[Exception]) -> int:
+def _not_started(*errors: Exception) -> int:
     for error in errors:
-        tell(describe(error))
+        tell("\n".join(told(error)))
     lacks = any(isinstance(error.__cause__, ImportError) for error in errors)
     return CANNOT_USE if lacks else NOT_DONE

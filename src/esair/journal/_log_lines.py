@@ -12,7 +12,7 @@ import select
 import threading
 from collections.abc import Callable
 
-from esair.exceptions import describe, told_traceback
+from esair.exceptions import describe, told_traceback, wants_traceback
 from esair.journal._event import Kind
 from esair.journal._journal import Journal, here
 from esair.loop import turn_of
@@ -27,7 +27,12 @@ _LOOK = 50  # how often it is asked whether a pipe takes something again, in ms
 
 
 def escape_traceback(record: logging.LogRecord) -> bool:
-    """Escape the traceback of a line, before any handler has it."""
+    """Escape the traceback of a line, before any handler has it.
+
+    Where nobody has set up logging a script shows what matters, in one line.
+    """
+    if not handlers_of("esair") and not wants_traceback():
+        record.exc_info = None
     if record.exc_info and record.exc_info[1] is not None and not record.exc_text:
         record.exc_text = told_traceback(record.exc_info[1])
     return True

@@ -14,6 +14,7 @@ from esair.standard._run import (
     run,
     run_to_its_end,
 )
+from esair.standard._told import told
 
 __all__ = [
     "FORMAT",
@@ -28,4 +29,5 @@ __all__ = [
     "recorded_as",
     "run",
     "run_to_its_end",
+    "told",
 ]

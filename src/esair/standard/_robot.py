@@ -67,6 +67,7 @@ from esair.plan import Plan, errors_in, examine
 from esair.resources import Resource, adapt_resource
 from esair.standard._recording import Keeping, repeats
 from esair.standard._service import ServiceManager
+from esair.standard._told import class_of
 from esair.supervisors import (
     BehaviorDeployment,
     BehaviorSupervisor,
@@ -579,7 +580,11 @@ class Robot:
         if asked := self._stopping.reason:
             raise StoppingError(self._title, f"stopped before its start: {asked}")
         not_while_looking(self)
-        if mistakes := errors_in(examine(self.plan)):
+        found = [each for each in examine(self.plan) if each.is_error]
+        if mistakes := errors_in(found):
+            for error, finding in zip(mistakes, found, strict=True):
+                if place := class_of(finding.subject):
+                    error.add_note(place)
             raise ExceptionGroup(f"{self._title} cannot start", mistakes)
         anyio.CancelScope()  # what the stop needs is imported before there can be one
         loop = asyncio.get_running_loop()

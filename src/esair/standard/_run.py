@@ -14,7 +14,7 @@ from typing import Any
 
 import anyio
 
-from esair.exceptions import ConfigError
+from esair.exceptions import ConfigError, EsairError
 from esair.loop import (
     Ending,
     LateSignals,
@@ -23,6 +23,7 @@ from esair.loop import (
     threads_that_keep_the_process,
 )
 from esair.standard._robot import LAST_WAIT, STALL_WARNING, Robot, not_while_looking
+from esair.standard._told import show_at_the_end
 from esair.values import check_seconds
 
 _log = logging.getLogger("esair")
@@ -90,6 +91,9 @@ def run(
             run_and_end(main(), loop_factory or TurnLoop)
             if signals.number is not None:  # when the robot had stopped by itself
                 raise SystemExit(128 + signals.number)
+    except (EsairError, ExceptionGroup) as error:
+        show_at_the_end(error)
+        raise
     except SystemExit:
         if signals.number is not None:
             _leave_threads(before, 128 + signals.number)

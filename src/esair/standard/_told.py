@@ -1,0 +1,94 @@
+"""What has gone wrong, for the developer: what, where, what to do; no traceback."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import sys
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+
+from esair.exceptions import (
+    BehaviorFailedError,
+    ConfigError,
+    EsairError,
+    describe,
+    wants_traceback,
+)
+from esair.values import printable
+
+_ESAIR = str(Path(__file__).parents[1])
+_shown: list[BaseException] = []
+"""The error with which the last robot of the program has ended."""
+
+
+def line_of(error: BaseException) -> str:
+    """Return the last line of the user's own code that an error came by; or nothing."""
+    frames = [
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if not frame.filename.startswith((_ESAIR, os.path.dirname(os.__file__), "<"))
+    ]
+    if not frames:
+        return ""
+    last = frames[-1]
+    return printable(
+        f"{last.filename}, line {last.lineno}, in {last.name}: {last.line}"
+    )
+
+
+def class_of(part: object) -> str:
+    """Return where the class of a part is written, if it is the user's; or nothing."""
+    cls = part if isinstance(part, type) else type(part)
+    try:
+        file, (_, line) = inspect.getsourcefile(cls), inspect.getsourcelines(cls)
+    except (OSError, TypeError):
+        return ""
+    if file is None or file.startswith(_ESAIR):
+        return ""
+    return printable(f"{file}, line {line}, class {cls.__name__}")
+
+
+def told(error: BaseException) -> list[str]:
+    """Return one block of lines: what has gone wrong, where, and what to do."""
+    mistakes = list(_leaves(error))
+    lines = []
+    if isinstance(error, BaseExceptionGroup):
+        lines.append(printable(error.message))
+    for each in mistakes:
+        lines.append(describe(each))
+        cause = each.__cause__ if isinstance(each, BehaviorFailedError) else each
+        where = getattr(each, "__notes__", None) or [line_of(cause or each)]
+        lines += [f"  where: {place}" for place in where if place]
+    started = not isinstance(error, BaseExceptionGroup | ConfigError)
+    todo = "mend that line" if started else "nothing was opened, nothing moved: mend it"
+    if any(line.startswith("  where: ") for line in lines):
+        lines.append(f"  to do: {todo}; --traceback shows how it came to that")
+    return lines
+
+
+def _leaves(error: BaseException) -> Iterator[BaseException]:
+    if isinstance(error, BaseExceptionGroup):
+        for each in error.exceptions:
+            yield from _leaves(each)
+    else:
+        yield error
+
+
+def show_at_the_end(error: BaseException) -> None:
+    """If this error ends the program, let a block stand for its traceback."""
+    if all(isinstance(each, EsairError) for each in _leaves(error)):
+        _shown[:] = [error]
+        if sys.excepthook is sys.__excepthook__ and not wants_traceback():
+            sys.excepthook = _hook
+
+
+def _hook(
+    kind: type[BaseException], error: BaseException, trace: TracebackType | None
+) -> None:
+    if error not in _shown:
+        sys.__excepthook__(kind, error, trace)
+        return
+    print("\n".join(told(error)), file=sys.stderr)  # noqa: T201 - in place of Python's
