@@ -96,8 +96,8 @@ def commands(page: str) -> Iterator[Command | str]:
         shell = any(line.startswith("$ ") for line in lines)
         parts: list[tuple[str, list[str]]] = []
         for line in lines:
-            if parts and parts[-1][0].endswith("\\"):
-                parts[-1] = (f"{parts[-1][0][:-1]} {line.strip()}", [])
+            if parts and goes_on(parts[-1][0]):
+                parts[-1] = (f"{parts[-1][0]}\n{line}", [])
             elif line.startswith("$ ") or not shell:
                 parts.append((line.removeprefix("$ "), []))
             else:
@@ -113,6 +113,12 @@ def commands(page: str) -> Iterator[Command | str]:
             known = printed if shows else None
             yield Command(at, text, known, before, meanwhile, reason)
             before, meanwhile = [], []
+
+
+def goes_on(command: str) -> bool:
+    """Tell whether the next line belongs to a command, too."""
+    loops = re.search(r"; do$", command, re.M) and not command.endswith("\n  done")
+    return command.endswith("\\") or bool(loops)
 
 
 def alike(shown: list[str], printed: list[str]) -> bool:

@@ -42,7 +42,7 @@ def test_what_is_not_typed_has_a_reason_and_is_counted() -> None:
 
     assert reasons.keys() - commands.REASONS.keys() == {""}
     assert reasons == {
-        "": 34,
+        "": 36,
         "installs": 10,
         "hardware": 3,
         "system": 4,

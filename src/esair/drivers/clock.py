@@ -135,7 +135,8 @@ class FakeClock(Clock):
         not_before: str = "2025-01-01",
         **settings: Unpack[SensorSettings],
     ) -> None:
-        super().__init__(not_before=not_before, **{"name": "clock", **settings})
+        settings.setdefault("name", "clock")
+        super().__init__(not_before=not_before, **settings)
         self._at: float | None = None
         self.set(moment, offset)
 
