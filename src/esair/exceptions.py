@@ -175,7 +175,7 @@ class NoTurnError(DriverStuckError):
 
     def __init__(self, resource: str, call: str, seconds: float) -> None:
         super().__init__(resource, call, seconds)
-        self.args = (
+        self.args: tuple[str] = (
             f"{call} of {resource!r} got no turn on its bus in {seconds:g} s: "
             "the bus is asked for more than it can do, or is held up",
         )

@@ -505,6 +505,7 @@ class Loop:
     refused: int = 0
     faults: int = 0
     said: int = 0
+    phase: int
     fault: "Any"
     _run: "Any"
     fault = _run = None

@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from typing import (
     TYPE_CHECKING,
     Any,
+    Final,
     Literal,
     NamedTuple,
     Protocol,
@@ -128,12 +129,12 @@ class BlockingBehaviors(Waits):
 
     __slots__ = ()
 
-    query = calls(Behaviors.query)
-    add = waits(Behaviors.add)
-    remove = waits(Behaviors.remove)
-    replace = waits(Behaviors.replace)
-    restart = waits(Behaviors.restart)
-    switch = waits(Behaviors.switch)
+    query: Final = calls(Behaviors.query)
+    add: Final = waits(Behaviors.add)
+    remove: Final = waits(Behaviors.remove)
+    replace: Final = waits(Behaviors.replace)
+    restart: Final = waits(Behaviors.restart)
+    switch: Final = waits(Behaviors.switch)
 
 
 A = TypeVar("A")

@@ -8,7 +8,7 @@ import contextlib
 import functools
 import inspect
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator, Mapping
-from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, cast
+from typing import Any, Concatenate, Final, Generic, ParamSpec, TypeVar, cast
 
 from esair.connections import ActuatorPort, Port, SensorPort
 from esair.exceptions import BehaviorRemovedError
@@ -77,8 +77,8 @@ class BlockingPort(Waits, Generic[T]):
 
     __slots__ = ()
 
-    configure = waits(Port.configure)
-    operate = waits(Port.operate)
+    configure: Final = waits(Port.configure)
+    operate: Final = waits(Port.operate)
 
     @property
     def resource(self) -> str:
@@ -106,9 +106,9 @@ class BlockingSensorPort(BlockingPort[T]):
 
     __slots__ = ()
 
-    read = waits(SensorPort[T].read)
-    reading = waits(SensorPort[T].reading)
-    history = calls(SensorPort[T].history)
+    read: Final = waits(SensorPort[T].read)
+    reading: Final = waits(SensorPort[T].reading)
+    history: Final = calls(SensorPort[T].history)
 
     @property
     def max_age(self) -> float:
@@ -130,6 +130,6 @@ class BlockingActuatorPort(BlockingPort[T]):
 
     __slots__ = ()
 
-    write = waits(ActuatorPort[T].write)
-    release = waits(ActuatorPort[T].release)
-    why = calls(ActuatorPort[T].why)
+    write: Final = waits(ActuatorPort[T].write)
+    release: Final = waits(ActuatorPort[T].release)
+    why: Final = calls(ActuatorPort[T].why)

@@ -170,7 +170,7 @@ class Derivation(ReactionRunner):
         self._channel = channel
         self._is_current = False
         """Whether the newest reading is of the newest readings of the sources."""
-        self.on_change = on_change
+        self.on_change: Callable[[DeviceLostError | None], None] = on_change
 
     def follow(self, sources: Mapping[str, Source]) -> None:
         """Begin to follow the sources; nothing is computed before `begin`."""

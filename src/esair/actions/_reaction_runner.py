@@ -118,7 +118,7 @@ class ReactionRunner:
         self.clock: StepClock = StepClock(began, told)
         reaction.take_clock(self.clock)
         loop = asyncio.get_running_loop()
-        self.time = clock_of(loop)
+        self.time: Callable[[], float] = clock_of(loop)
         self.step_time: StepTime | None = step_time(reaction, loop)
         self.scheduler: Scheduler = Scheduler.of(loop)
         self._stepping = Stepping.of(loop)

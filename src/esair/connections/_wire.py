@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import attrs
 
-from esair.connections._calls import Apply, Call, Guard, translate_call
+from esair.connections._calls import Apply, Call, Guard, Method, translate_call
 from esair.connections._checks import CommandCheck
 from esair.connections._gate import LastCommand
 from esair.exceptions import DeviceLostError, DriverStuckError, EsairError, describe
@@ -143,7 +143,7 @@ class Wire:
             method = attrs.evolve(
                 method, function=lambda command: write(copy.deepcopy(command))
             )
-        self.method = method
+        self.method: Method = method
 
     def send(
         self,

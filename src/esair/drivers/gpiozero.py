@@ -134,7 +134,7 @@ class GpiozeroSensor(MadeSensor):
     ) -> None:
         super().__init__(**settings)
         value = _known(self, device, READS)
-        self.object = Made(self, getattr(gpiozero, device), arguments)
+        self.object: Made = Made(self, getattr(gpiozero, device), arguments)
         self._read = self.object.reading(value)
         if limits is not None:
             self.limits: tuple[float, float] = limits
@@ -170,7 +170,7 @@ class GpiozeroActuator(MadeActuator):
                     -90.0 if least is None else float(least),
                     90.0 if most is None else float(most),
                 )
-        self.object = Made(self, getattr(gpiozero, device), arguments)
+        self.object: Made = Made(self, getattr(gpiozero, device), arguments)
         self._tell = self.object.telling(told.attribute)
         self.claim: str = f"{device} {arguments or ''}"
 

@@ -137,7 +137,7 @@ class SysfsSensor(_OnSysfs, Sensor[float]):
 
     folder: Path
 
-    kinds = "hwmon", "iio", "w1"
+    kinds: ClassVar[tuple[str, ...]] = "hwmon", "iio", "w1"
 
     def __init__(
         self,
@@ -206,7 +206,7 @@ class SysfsActuator(_OnSysfs, Actuator[float]):
 
     folder: Path
 
-    kinds = "led", "pwm"
+    kinds: ClassVar[tuple[str, ...]] = "led", "pwm"
 
     def __init__(
         self,

@@ -55,7 +55,9 @@ class Beside:
         self._waiting: queue.SimpleQueue[
             logging.LogRecord | Callable[[], object] | None
         ] = queue.SimpleQueue()
-        self.thread = threading.Thread(target=self._work, name="esair-log", daemon=True)
+        self.thread: threading.Thread = threading.Thread(
+            target=self._work, name="esair-log", daemon=True
+        )
         self.thread.start()
 
     def hand(self, record: logging.LogRecord) -> None:

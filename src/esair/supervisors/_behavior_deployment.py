@@ -18,7 +18,7 @@ from esair.exceptions import (
     ConfigError,
     UnknownNameError,
 )
-from esair.journal import Event, Kind
+from esair.journal import Event, Journal, Kind
 from esair.loop import (
     ProcessWatch,
     current_owner,
@@ -87,7 +87,7 @@ class BehaviorDeployment:
         modes: Modes,
     ) -> None:
         self.resources = resources
-        self.journal = resources.journal
+        self.journal: Journal = resources.journal
         self.commands: CommandQueue = CommandQueue("behaviors", asleep=True)
         self.members: dict[str, Member] = {}
         self.mediator: Mediator = Mediator(self.journal)
@@ -115,7 +115,8 @@ class BehaviorDeployment:
             for manager in each.allow
         }
         self._start_patience = start_patience
-        self.halt_robot, self.stop_robot = halt, stop
+        self.halt_robot: Callable[[str, str], Halting] = halt
+        self.stop_robot: Callable[[str], Awaitable[Stopped]] = stop
         self._all_ended: asyncio.Future[None] | None = None
         self.fatal: BehaviorFailedError | None = None
         """The failure of an essential one, which ends the robot."""

@@ -64,6 +64,7 @@ from esair.supervisors._mailbox import Mailbox
 from esair.values import check_duration
 
 if TYPE_CHECKING:
+    from esair.placement import Seat
     from esair.supervisors._behavior_deployment import BehaviorDeployment
 
 _UNBOUND = frozenset({BehaviorState.RESTARTING, BehaviorState.RESTING})
@@ -129,7 +130,9 @@ class Member:
         self._portal: Portal | None = None
         self.sight: Sight = Sight(crew.resources.actuators.protections, action, name)
         """What it protects, and whether it sees."""
-        self.seat = crew.resources.seat_for(action) if is_placed(action) else None
+        self.seat: Seat | None = (
+            crew.resources.seat_for(action) if is_placed(action) else None
+        )
         """Its place if its code runs in a process of its own."""
         self.used: Collection[str] = ()
         """Which resources its last run has used; what it moved may not be safe yet."""

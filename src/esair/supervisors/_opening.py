@@ -17,6 +17,7 @@ from esair.actions import Derivation, Derived
 from esair.connections import (
     ActuatorChannel,
     DerivedChannel,
+    Driver,
     Method,
     Registration,
     SensorChannel,
@@ -54,7 +55,7 @@ class Opener:
         self.resource = resource
         self._channel = channel
         # Its own: the channel goes on with those of a successor.
-        self.driver = channel.driver
+        self.driver: Driver = channel.driver
         self.calls = channel.calls
         self.is_open: bool = False
         self.newest: int = 0  # the number of the driver's newest call of ``open``

@@ -29,7 +29,7 @@ from esair.exceptions import (
     UnknownNameError,
     describe,
 )
-from esair.journal import Kind
+from esair.journal import Journal, Kind
 from esair.loop import now, outside, spawn, wake
 from esair.messages import (
     NO_MODES,
@@ -161,7 +161,7 @@ class ResourceDeployment:
         """The second process that makes safe what this one cannot; the robot's."""
         self.buses: list[Bus] = []
         """Every bus that a resource of this robot is or was on."""
-        self.journal = registrations.journal
+        self.journal: Journal = registrations.journal
         self._seats: Seats | None = None
         """The places of those that live in processes of their own, if there are any."""
         self.journal.count("resources", self._counted)

@@ -84,7 +84,7 @@ class ResourceLife:
         """How many calls its bus had no time for."""
         self.tried: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         """Done when the device was tried for the first time."""
-        self.configuring = asyncio.Lock()
+        self.configuring: asyncio.Lock = asyncio.Lock()
         """Held while settings are applied: one change at a time, none in an opening."""
         self.operations = 0  # how many operations wait or run
         self._loop = asyncio.get_running_loop()

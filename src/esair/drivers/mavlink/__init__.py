@@ -394,7 +394,7 @@ class RcOverride(_OnVehicle, Actuator[dict[str, float]]):
         for name, number in channels.items():
             check_whole(self.name, f"channels.{name}", number, 1, 8)
         self.channels: dict[str, int] = dict(channels)
-        self.safe = dict(safe)
+        self.safe: dict[str, float] = dict(safe)
         self.limits: Mapping[str, tuple[float, float]] = dict.fromkeys(
             channels, (-1.0, 1.0)
         )
