@@ -16,15 +16,16 @@ from rich.text import Text
 
 from esair.cli._errors import counted
 from esair.cli._options import AsJson
-from esair.config import FoundInFile, Report, tables_of
-from esair.config import check as check_robot
+from esair.config import FoundInFile, Report, check_together, tables_of
 from esair.loop import check_priority, refusal
 from esair.plan import UNWATCHED
 
 _STYLES = {"error": "bold red", "warning": "yellow"}
 
 
-def check(robot: str, /, *, as_json: AsJson = False, strict: bool = False) -> int:
+def check(
+    robot: str, /, *peers: str, as_json: AsJson = False, strict: bool = False
+) -> int:
     """Find every mistake of a robot at once; no device is opened.
 
     Exit code: 0 no errors, 1 errors found, 2 the file or module cannot be read.
@@ -32,24 +33,33 @@ def check(robot: str, /, *, as_json: AsJson = False, strict: bool = False) -> in
     Args:
         robot: A robot.toml; or the robot of a module: module:robot, file.py:robot. The
             name may be that of a function that returns the robot.
+        peers: The files of robots that it uses, or that use it: what one wants and
+            another one does not share is a mistake, too. With --json a list is printed.
         strict: Count warnings as errors.
     """
-    report = check_robot(robot)
+    reports = check_together([robot, *peers])
     console = Console(highlight=False)
     if as_json:
-        console.out(json.dumps(to_json(report), indent=2), highlight=False)
+        told = [to_json(report) for report in reports]
+        shown = json.dumps(told if peers else told[0], indent=2)
+        console.out(shown, highlight=False)
     else:
-        if report.findings:
-            console.print(_findings(report.findings))
-        unmade = any(found.rule == "configuration" for found in report.findings)
-        if report.actuators and not unmade:  # else a guard may be what is missing
-            console.print(_actuators(report))
-        if report.failures and not unmade:
-            console.print(_failures(report))
-        for told in (*_of_boards(robot, report), *_of_real_time(robot, report)):
-            console.print(Text(told), soft_wrap=True)
-        console.print(_summary(report), soft_wrap=True)
-    return 1 if report.errors or (strict and report.warnings) else 0
+        for each, report in zip((robot, *peers), reports, strict=True):
+            _print(console, each, report)
+    return int(any(each.errors or (strict and each.warnings) for each in reports))
+
+
+def _print(console: Console, robot: str, report: Report) -> None:
+    if report.findings:
+        console.print(_findings(report.findings))
+    unmade = any(found.rule == "configuration" for found in report.findings)
+    if report.actuators and not unmade:  # else a guard may be what is missing
+        console.print(_actuators(report))
+    if report.failures and not unmade:
+        console.print(_failures(report))
+    for told in (*_of_boards(robot, report), *_of_real_time(robot, report)):
+        console.print(Text(told), soft_wrap=True)
+    console.print(_summary(report), soft_wrap=True)
 
 
 def _of_boards(robot: str, report: Report) -> Iterable[str]:
@@ -90,7 +100,7 @@ def to_json(report: Report) -> dict[str, Any]:
             severity         "error" | "warning"
             rule             "configuration" | "declaration" | "name" | "claim" |
                              "need" | "denied" | "rights" | "time" | "silent" |
-                             "protect" | "starve" | "unused" | "port"
+                             "protect" | "starve" | "unused" | "port" | "peer"
             key              string: dotted path in the file; "" for the whole
             line             integer, from 1 | null
             message          string

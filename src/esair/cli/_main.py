@@ -90,6 +90,7 @@ def make_app() -> App:
     from esair.cli._measure import measure
     from esair.cli._min import minimal
     from esair.cli._new import new
+    from esair.cli._peers import peers
     from esair.cli._plot import plot
     from esair.cli._replay import replay
     from esair.cli._run import run, sim
@@ -109,7 +110,7 @@ def make_app() -> App:
     for other in (log, plot, replay, recover, minimal):
         app.command(other)
     running = Group("A robot that runs", sort_key=1)
-    for steer in (top, view, drive):
+    for steer in (top, peers, view, drive):
         app.command(steer, group=running)
     for name in VERBS:
         app.command(verb_of(name), group=running)

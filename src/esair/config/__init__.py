@@ -4,7 +4,7 @@ Every mistake is told at once, before anything is opened or moved. The reference
 tables and their keys.
 """
 
-from esair.config._check import FoundInFile, Report, check
+from esair.config._check import FoundInFile, Report, check, check_together
 from esair.config._classes import searched_first
 from esair.config._construct import keywords_of
 from esair.config._load import Description, build, load, load_robot
@@ -24,6 +24,7 @@ __all__ = [
     "Report",
     "build",
     "check",
+    "check_together",
     "convert",
     "digest_of",
     "fields_of",

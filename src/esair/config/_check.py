@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import attrs
 
 from esair.config._draft import Draft
 from esair.config._module import is_of_module, robot_of
+from esair.config._network import open_to_all, pair_mistakes
 from esair.config._parts import make_draft, refused_by_robot
 from esair.config._source import read_source
 from esair.plan import Protection, examine, failures, protection
@@ -67,6 +68,39 @@ class Report:
     def warnings(self) -> int:
         """How many warnings there are."""
         return len(self.findings) - self.errors
+
+
+def check_together(
+    paths: Sequence[str | os.PathLike[str]], *, robot_class: type = Robot
+) -> list[Report]:
+    """Find every mistake of robots that use each other: in each file, and between them.
+
+    Args:
+        paths: Their files; a module is looked at alone.
+        robot_class: The class of their robots.
+
+    Raises:
+        ConfigError: One cannot be read.
+    """
+    reports = [check(path, robot_class=robot_class) for path in paths]
+    if len(paths) < 2:
+        return reports
+    drafts = [
+        None
+        if is_of_module(str(path))
+        else make_draft(read_source(path), simulated=False, robot_class=robot_class)
+        for path in paths
+    ]
+    for number, mine in enumerate(drafts):
+        found = [
+            FoundInFile("error", "peer", key, mine.source.mistakes.lines.of(key), told)
+            for other in drafts
+            if mine is not None and other is not None and other is not mine
+            for key, told in pair_mistakes(mine, other)
+        ]
+        every = (*found, *reports[number].findings)
+        reports[number] = attrs.evolve(reports[number], findings=every)
+    return reports
 
 
 def check(path: str | os.PathLike[str], *, robot_class: type = Robot) -> Report:
@@ -130,12 +164,16 @@ def _tables(holder: object) -> list[object]:
 def _found(draft: Draft, robot_class: type) -> list[FoundInFile]:
     mistakes = draft.source.mistakes
     findings = examine(draft.plan())
+    warned = open_to_all(draft.peers)
     sound = not mistakes.errors and not any(each.is_error for each in findings)
     refused_by_robot(draft, robot_class, sound=sound)
     found = [
         FoundInFile("error", "configuration", error.key, error.line, error.reason)
         for error in mistakes.errors
     ]
+    if warned:
+        line = mistakes.lines.of("network.insecure")
+        found.append(FoundInFile("warning", "peer", "network.insecure", line, warned))
     found += [
         FoundInFile(
             finding.severity.value,

@@ -55,6 +55,8 @@ class Draft:
     # who may manage others
     policies: dict[str, Policy | BehaviorsPolicy] = attrs.field(factory=dict)
 
+    peers: Any = None  # What the file says of peers; None if nothing
+
     @property
     def buses(self) -> dict[str, Bus | None]:
         """The buses by name; None for one that could not be made."""

@@ -9,6 +9,8 @@ from esair.config._components import make_behavior, make_bus, make_device
 from esair.config._construct import keywords_of
 from esair.config._draft import Draft, Part
 from esair.config._mistakes import below, dotted, unknown
+from esair.config._network import TABLES as OF_NETWORK
+from esair.config._network import add_behaviors, add_buses, read_peers
 from esair.config._policies import read_policies
 from esair.config._records import make_of
 from esair.config._source import Source
@@ -24,6 +26,7 @@ OF_ROBOT: Final = frozenset({"operator", "record", "page"})
 TABLES: Final = (
     *("robot", "board", "bus", "sensor", "actuator", "behavior", "mode", "access"),
     *OF_ROBOT,
+    *sorted(OF_NETWORK),
 )
 """The tables of a file."""
 
@@ -42,14 +45,17 @@ def make_draft(source: Source, *, simulated: bool, robot_class: type) -> Draft:
         lambda other: make_draft(other, simulated=False, robot_class=robot_class),
     )
     draft.robot = _read_robot(source, robot_class)
+    draft.peers = peers = read_peers(source)
     for name, table in named_tables(source, "bus"):
         draft.parts.append(Part("bus", name, make_bus(draft, name, table)))
+    add_buses(draft, peers)
     for kind, base in (("sensor", Sensor), ("actuator", Actuator)):
         for name, table in named_tables(source, kind):
             key = f"{kind}.{name}"
             draft.parts.append(make_device(draft, key, name, table, base))
     for name, table in named_tables(source, "behavior"):
         draft.parts.append(Part("behavior", name, make_behavior(draft, name, table)))
+    add_behaviors(draft, peers)
     draft.policies = read_policies(source)
     modes = {
         name: source.convert(table, Mode, f"mode.{name}")

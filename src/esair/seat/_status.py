@@ -93,6 +93,8 @@ class Status:
                 "losses": status.losses,
                 "faults": status.faults,
                 "refusals": counted.get("refusals", 0) + counted.get("bad", 0),
+                "bus": getattr(resource.bus, "name", None),
+                "medium": None if resource.bus is None else type(resource.bus).__name__,
                 "settings": settings(resource),
                 "operations": self._operations[type(resource)],
                 "numbers": {},

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -34,6 +35,9 @@ _WAITING: Final = 512
 """How many messages of a peer may wait for the loop; what comes then is dropped."""
 
 _OPENING: Final = 1.5  # how long a session may take to open, in seconds
+
+
+_log = logging.getLogger("esair")
 
 
 @attrs.frozen
@@ -122,6 +126,9 @@ class Network:
         loop = asyncio.get_running_loop()
         self._users.add(bus.name)
         if self._session is None and self._opening is None:
+            if self.insecure and self.tls is None:
+                told = "network: insecure: everybody who reaches it can drive %s"
+                _log.warning(told, self.me)
             self._opening = spawn(loop, self._open(bus), name="open the network")
         if self._opening is not None:
             await asyncio.wait({self._opening})

@@ -62,14 +62,15 @@ class Peer(Sensor[PeerStatus]):
     """How another robot is heard; LOST while it is not."""
 
     bus: PeerBus
-    blocking: bool = False
+    period: float | None = 1.0
 
-    def __init__(self, **settings: Unpack[SensorSettings]) -> None:
-        settings.setdefault("rate", 2.0)
-        super().__init__(**settings)
+    async def stream(self) -> AsyncIterator[PeerStatus]:
+        """Yield what the bus has counted, twice a second."""
+        while True:
+            yield self._status()
+            await asyncio.sleep(0.5)
 
-    def read(self) -> PeerStatus:
-        """Return what the bus has counted."""
+    def _status(self) -> PeerStatus:
         bus, stats = self.bus, self.bus.stats
         trip = min(bus.round_trip, 1e6)
         received, bad = stats.received, stats.bad_frames

@@ -1,0 +1,242 @@
+"""``[network]``, ``[remote.*]`` and ``[share.*]``: two files of a pair, and their mistakes."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.net.parts import free_port
+
+import esair
+from esair.cli._peers import of_status
+from esair.config import check_together
+from esair.seat import Status
+
+PARTS = """
+import asyncio
+
+import attrs
+
+import esair
+
+
+@attrs.frozen
+class Twist:
+    linear: float
+    angular: float
+
+
+@attrs.frozen
+class Docked:
+    bay: int
+
+
+@attrs.frozen
+class Dock(esair.Request[Docked]):
+    bay: int
+
+
+class Sonar(esair.Sensor[float]):
+    async def read(self) -> float:
+        return 0.7
+
+
+class Wheels(esair.Actuator[Twist]):
+    safe = Twist(0.0, 0.0)
+    told = []
+
+    async def write(self, command: Twist) -> None:
+        self.told.append(command)
+
+
+class Docking(esair.Behavior):
+    @esair.answers
+    async def dock(self, request: Dock) -> Docked:
+        return Docked(request.bay)
+
+
+class Drive(esair.Behavior):
+    sonar = esair.reads(float)
+    wheels = esair.writes(Twist)
+    docked = None
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.02):
+            try:
+                await self.wheels.write(Twist(0.1 * await self.sonar.read(), 0.0))
+                self.docked = self.docked or await self.ask("docking", Dock(3))
+            except esair.EsairError:
+                pass
+"""
+
+BASE = """
+[robot]
+name = "base"
+
+[network]
+listen = ["tcp/127.0.0.1:PORT"]
+
+[sensor.sonar]
+driver = "MODULE:Sonar"
+
+[actuator.wheels]
+driver = "MODULE:Wheels"
+
+[behavior.docking]
+driver = "MODULE:Docking"
+
+[share.sonar]
+to = ["rover"]
+
+[share.wheels]
+to = ["rover"]
+priority = 5
+
+[share.docking]
+to = ["rover"]
+"""
+
+ROVER = """
+[robot]
+name = "rover"
+
+[network]
+connect = ["tcp/127.0.0.1:PORT"]
+
+[behavior.drive]
+driver = "MODULE:Drive"
+
+[remote.base.sensor.sonar]
+type = "float"
+period = 0.5
+
+[remote.base.actuator.wheels]
+type = "MODULE:Twist"
+
+[remote.base.behavior.docking]
+requests = ["MODULE:Dock"]
+"""
+
+
+class Files:
+    """The files of a pair."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.module = f"parts_{folder.name.replace('-', '_')}"
+        (folder / f"{self.module}.py").write_text(PARTS)
+        self.port = free_port()
+        self.base, self.rover = self.write("base", BASE), self.write("rover", ROVER)
+
+    def write(self, name: str, text: str) -> Path:
+        path = self.folder / f"{name}.toml"
+        text = text.replace("MODULE", self.module).replace("PORT", str(self.port))
+        path.write_text(text)
+        return path
+
+    def change(self, path: Path, old: str, new: str) -> None:
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new, 1))
+
+    def errors(self) -> list[tuple[str, str, str]]:
+        """What is wrong between them: file, key, message."""
+        reports = check_together([self.base, self.rover])
+        return [
+            (Path(report.file).name, found.key, found.message)
+            for report in reports
+            for found in report.findings
+            if found.severity == "error"
+        ]
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Files:
+    return Files(tmp_path)
+
+
+def test_a_pair_without_a_mistake(files: Files) -> None:
+    """The rulebook reads both; what comes with a peer need not be used."""
+    assert files.errors() == []
+    reports = check_together([files.base, files.rover])
+    warned = [each for report in reports for each in report.findings]
+    assert [each for each in warned if each.rule in {"peer", "unused"}] == []
+    (wheels,) = reports[0].actuators
+    assert [(each.behavior, each.priority) for each in wheels.writers] == [("rover", 5)]
+
+
+@pytest.mark.promise("NET-1")
+@pytest.mark.parametrize(
+    ("file", "old", "new", "key", "told"),
+    [
+        ("base", "[share.sonar]", "[share.sonnar]", "share.sonnar", "mean 'sonar'"),
+        ("base", "127.0.0.1", "0.0.0.0", "network.listen", "insecure = true"),
+        ("base", 'name = "base"', 'name = "rover"', "network", "no peer of itself"),
+        ("base", "listen", "connect", "network.connect", "listens nowhere"),
+        (
+            "base",
+            'to = ["rover"]',
+            'to = ["other"]',
+            "base.sensor.sonar",
+            "to = ['rover']",
+        ),
+        ("rover", "[network]", "[networc]", "networc", "did you mean 'network'"),
+        ("rover", ".sensor.", ".senser.", "remote.base.senser", "mean 'sensor'"),
+        ("rover", "sensor.sonar", "sensor.base", "sensor.base", "already"),
+        ("rover", ":Dock", ":Docked", "docking.requests", "not derived from"),
+        ("rover", '"float"', '"bool"', "base.sensor.sonar.type", "gives float"),
+        ("rover", 'type = "float"', "link_rate = 0", "sonar.link_rate", "more than 0"),
+    ],
+)
+def test_mistakes_are_named(
+    files: Files, file: str, old: str, new: str, key: str, told: str
+) -> None:
+    """With the file, the key, what was expected and what to do."""
+    files.change(getattr(files, file), old, new)
+    found = files.errors()
+    assert any(key in where and told in why for _, where, why in found), found
+
+
+def test_the_loud_word_is_a_warning(files: Files) -> None:
+    """Each check says it."""
+    files.change(files.base, "127.0.0.1", "0.0.0.0")
+    files.change(files.base, "[network]", "[network]\ninsecure = true")
+    (report, _) = check_together([files.base, files.rover])
+    (found,) = (each for each in report.findings if each.rule == "peer")
+    assert (found.severity, found.key, found.line) == ("warning", "network.insecure", 6)
+
+
+async def docked(drive: Any) -> None:
+    async with asyncio.timeout(5.0):
+        async for _ in esair.every(0.02):
+            if drive.docked is not None:
+                return
+
+
+@pytest.mark.promise("NET-2")
+@pytest.mark.real_clock
+async def test_two_files_are_two_robots(files: Files) -> None:
+    """Over zenoh, in one process here; the peers are in the picture of both."""
+    pytest.importorskip("zenoh")
+    base: Any = esair.Robot.from_config(files.base)
+    rover: Any = esair.Robot.from_config(files.rover)
+    async with base, rover:
+        drive = rover.behaviors.action("drive")
+        await docked(drive)
+        parts = sys.modules[files.module]
+        assert parts.Wheels.told[-1] == parts.Twist(0.1 * 0.7, 0.0)
+        assert base.resources.why("wheels").holder == "rover"
+        await asyncio.sleep(0.6)
+        loop = asyncio.get_running_loop()
+        (told,) = of_status(Status(base, loop).picture())
+        assert (told["name"], told["state"], told["holds"]) == (
+            "rover",
+            "ready",
+            ["wheels"],
+        )
+        (told,) = of_status(Status(rover, loop).picture())
+        assert told["used"] == ["sonar: ready", "wheels: ready"]
+        assert 0.0 <= told["round_trip"] < 0.5
