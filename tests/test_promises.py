@@ -31,7 +31,6 @@ PROMISES = {
 
 NOT_YET: dict[str, str] = dict.fromkeys(
     [
-        "NET-6",
         "ROS-1",
         "ROS-2",
         "ROS-3",

@@ -39,7 +39,12 @@ CASES = [
     ('"{m}:Sonar"', '"../x:Sonar"', "sensor.sonar.driver", "expected 'module:Class'"),
     ('"{m}:Sonar"', '"sonra"', "sensor.sonar.driver", "is not installed"),
     ('"{m}:Sonar"', '"{m}.Sonar"', "sensor.sonar.driver", ":Sonar')"),
-    ('type = "{m}:Wire"', "", "bus.front", "expected 'serial', 'can', 'i2c', 'spi' or"),
+    (
+        'type = "{m}:Wire"',
+        "",
+        "bus.front",
+        "expected 'serial', 'can', 'i2c', 'spi', 'mqtt' or",
+    ),
     ('"{m}:Sonar"', '"{m}:Broken"', "sensor.sonar", "the firmware is too old"),
     ('driver = "{m}:Sonar"', "", "sensor.sonar", "'driver' is missing"),
     ('driver = "{m}:Sonar"', "driver = 1", "sensor.sonar.driver", "expected a string"),

@@ -15,7 +15,7 @@ from esair.buses.peer import Network
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Let zenoh have its threads before it is looked at what a test leaves behind."""
-    if item.path.stem in {"test_zenoh", "test_config"}:
+    if item.path.stem in {"test_zenoh", "test_config", "test_lever"}:
         speak_once()
 
 

@@ -100,6 +100,7 @@ async def test_letting_go_is_no_command() -> None:
         assert set(pair.wheels.commands[count:]) == {Twist(0.9, 0.0)}
 
 
+@pytest.mark.promise("NET-6")
 @pytest.mark.parametrize(
     "messages", [400, pytest.param(10_000, marks=pytest.mark.long)]
 )
@@ -135,6 +136,7 @@ async def test_whatever_arrives_only_counters_move(messages: int) -> None:
         assert await hand.wheels.write(Twist(0.2, 0.0))
 
 
+@pytest.mark.promise("NET-6")
 def test_nothing_is_made_of_bytes_that_was_not_declared() -> None:
     """A class that no part of the robot declares is an error, never imported."""
     theirs, mine = Kinds([Twist]), Kinds()
