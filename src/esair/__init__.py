@@ -15,7 +15,7 @@ reactions (its *actions*). Subclass those, hand them to a `Robot`, and `run` it:
 
 from __future__ import annotations
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 TYPE_CHECKING = False  # as checkers read it: `typing` is not loaded for this
 if TYPE_CHECKING:
