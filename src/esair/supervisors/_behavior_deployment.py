@@ -270,20 +270,19 @@ class BehaviorDeployment:
         self, member: Member, undead: list[asyncio.Task[Any]], deadline: float
     ) -> None:
         """Fence off what would not end, and wait until what it moved is safe."""
-        zombies = [
-            *(task.get_name() for task in undead),
-            *(thread.name for thread in member.mail.owner.threads),
-        ]
-        channels = self.resources.actuators.channels
-        wrote = [channels[name] for name in sorted(member.used) if name in channels]
-        if wrote:
+        threads = member.mail.owner.threads
+        if member.used:
+            channels = self.resources.actuators.channels
+            wrote = [channels[name] for name in sorted(member.used) if name in channels]
             # What is sent goes on to be sent.
             await side_by_side([channel.safe.settled(deadline) for channel in wrote])
+        if not (undead or threads):
+            return
         self.undead.update(undead)
         for task in undead:
             task.add_done_callback(self.undead.discard)
         at = asyncio.get_running_loop().time()
-        for name in zombies:
+        for name in (*(t.get_name() for t in undead), *(t.name for t in threads)):
             self.zombie_count += 1
             self.zombies.append(Zombie(member.name, name, at))
             del self.zombies[:-ZOMBIE_LIMIT]

@@ -215,8 +215,10 @@ class Member:
             runner.stop()
 
     def _runners(self) -> list[ReactionRunner]:
-        own = [] if self.runner is None else [self.runner]
-        return [*own, *(step.runner for step in self.steps.now if step.runner)]
+        found = [] if self.runner is None else [self.runner]
+        if self.steps.now:
+            found.extend(step.runner for step in self.steps.now if step.runner)
+        return found
 
     def start(self) -> None:
         self.mail.become(BehaviorState.STARTING)
@@ -416,8 +418,10 @@ class Member:
         self.try_to_start()
 
     def uses(self) -> list[Registration]:
-        performed = (r for step in self.steps.now for r in step.own)
-        return [*self.grants.registrations, *performed]
+        found = list(self.grants.registrations)
+        for step in self.steps.now:
+            found += step.own
+        return found
 
     def fence(self, reason: Callable[[], EsairError] | None = None) -> None:
         """Revoke all its registrations in one step; what it moved is made safe."""
@@ -430,9 +434,11 @@ class Member:
         for registration in uses:
             self.crew.resources.control.revoke(registration, reason)
         self.grants.registrations.clear()
-        for portal in (self._portal, *(step.portal for step in self.steps.now)):
-            if portal is not None:
-                portal.close()
+        if self._portal is not None:
+            self._portal.close()
+        for step in self.steps.now:
+            if step.portal is not None:
+                step.portal.close()
 
     async def stop(self, grace: float) -> list[asyncio.Task[Any]]:
         """End it, whatever it does; returns the tasks that would not end."""
