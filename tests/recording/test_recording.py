@@ -532,3 +532,28 @@ async def test_a_slow_disk_costs_events_and_no_time(
     assert 400 <= dropped < 500
     assert recorder.written + dropped == 500
     assert [event.value for event in events_of(tmp_path / "run.mcap")][-1] < 499
+
+
+@pytest.mark.promise("REC-1")
+@pytest.mark.parametrize(
+    "value",
+    [
+        2**70,
+        -(2**70),
+        "half \ud800",
+        {"\udfff": 1},
+        np.float64(0.1),
+        [1e300, None, "é"],
+    ],
+    ids=["large", "small", "surrogate", "name", "numpy", "usual"],
+)
+def test_a_message_has_all_that_json_has(tmp_path: Path, value: object) -> None:
+    """Also what the quick encoder has no room for."""
+    from mcap.reader import make_reader
+
+    segment = Segment(tmp_path / "run.mcap")
+    segment.write("/state", "esair.Event", {"value": value}, 1.0)
+    segment.close()
+    with segment.path.open("rb") as file:
+        ((_, _, message),) = make_reader(file).iter_messages()
+    assert json.loads(message.data) == {"value": value}
