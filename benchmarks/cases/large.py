@@ -136,17 +136,18 @@ async def _stretches() -> dict[str, float]:
     async with robot_of(third, third, third) as robot:
         await asyncio.sleep(0.5)
         found = {}
-        for what, there, make in (
-            ("a behavior", robot.behaviors, lambda n: Idle(name=f"new_{n}")),
-            ("a sensor", robot.resources, lambda n: RareMeter(name=f"new_{n}")),
-            ("an actuator", robot.resources, lambda n: Motor(name=f"new_{n}")),
-        ):
+        changes: tuple[tuple[str, Any, Callable[..., Any]], ...] = (
+            ("a behavior", robot.behaviors, Idle),
+            ("a sensor", robot.resources, RareMeter),
+            ("an actuator", robot.resources, Motor),
+        )
+        for what, there, kind in changes:
             longest = []
             for number in repeated(5):
                 with _held() as held:
-                    await there.add(make(number))  # type: ignore[attr-defined]
+                    await there.add(kind(name=f"new_{number}"))
                 longest.append(max(held))
-                await there.remove(f"new_{number}")  # type: ignore[attr-defined]
+                await there.remove(f"new_{number}")
             found[what] = sorted(longest)[len(longest) // 2]
     return found
 
@@ -155,15 +156,16 @@ async def _stretches() -> dict[str, float]:
 def _held() -> Iterator[list[float]]:
     """Note how long each callback of the loop takes, in seconds of CPU."""
     held: list[float] = []
-    run: Callable[[asyncio.Handle], None] = asyncio.Handle._run  # type: ignore[attr-defined]
+    handles: Any = asyncio.Handle
+    run = handles._run
 
     def timed(handle: asyncio.Handle) -> None:
         begin = time.thread_time()
         run(handle)
         held.append(time.thread_time() - begin)
 
-    asyncio.Handle._run = timed  # type: ignore[attr-defined]
+    handles._run = timed
     try:
         yield held
     finally:
-        asyncio.Handle._run = run  # type: ignore[attr-defined]
+        handles._run = run
