@@ -56,8 +56,9 @@ class Wheels(LineActuator):
     arrived: asyncio.Event
 
     async def write(self, command: float) -> float | None:
-        sys.setprofile(None)
-        self.arrived.set()
+        if command:  # a busy machine's time-out has it told to be safe in between
+            sys.setprofile(None)
+            self.arrived.set()
         return await super().write(command)
 
 
