@@ -256,7 +256,17 @@ async def called(device: Any, *calls: tuple[Any, ...]) -> Any:
     return before
 
 
-@pytest.mark.parametrize("library", SENSORS)
+SLEEPY = {"adafruit_tmp117:TMP117", "adafruit_bno055:BNO055_I2C"}
+"""Those whose drivers wait for a second at the start."""
+
+
+@pytest.mark.parametrize(
+    "library",
+    [
+        pytest.param(each, marks=[pytest.mark.long] if each in SLEEPY else [])
+        for each in SENSORS
+    ],
+)
 async def test_a_sensor_gives_what_its_part_measures(library: str) -> None:
     """Buffers, structures, paged registers, commands, checksums: by our bus."""
     needs(library)
