@@ -179,6 +179,7 @@ def running(start, computer) -> Callable[..., subprocess.Popen[str]]:
 
 
 @pytest.mark.real_clock
+@pytest.mark.long
 def test_watch_tells_what_comes_and_goes(running, computer) -> None:
     """One JSON object per line: what is there, then each change; Ctrl-C ends it."""
     computer.plug(0)

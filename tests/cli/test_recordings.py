@@ -125,6 +125,7 @@ def test_what_is_long_is_shown_shortly_to_people(tmp_path: Path, capsys) -> None
 
 
 @pytest.mark.promise("REC-6")
+@pytest.mark.long
 def test_plot_draws_a_picture(recording: Path, capsys) -> None:
     """A PNG beside the recording, not empty."""
     pytest.importorskip("matplotlib", reason="needs esair[sim]")

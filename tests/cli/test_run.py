@@ -186,6 +186,7 @@ def test_nobody_needs_to_see_the_log(folder, start) -> None:
 
 
 @pytest.mark.parametrize("behavior", ["Which", "Always"])
+@pytest.mark.long
 def test_it_runs_on_uvloop(folder, start, behavior) -> None:
     """``--loop uvloop`` changes the loop and nothing else."""
     pytest.importorskip("uvloop")

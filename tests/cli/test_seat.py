@@ -155,6 +155,7 @@ def test_a_robot_is_watched_and_steered(esair, robot):
 
 
 @pytest.mark.promise("OPS-2")
+@pytest.mark.long
 def test_an_operation_is_called_and_told(esair, robot):
     """By what the device did; what is wrong is told, and nothing is done."""
     folder = robot()
@@ -201,6 +202,7 @@ def test_several_robots_are_told_apart_by_name(esair, robot):
 
 
 @pytest.mark.promise("OPS-2")
+@pytest.mark.long
 def test_the_log_of_a_robot_is_followed(esair, robot, start, tmp_path):
     """``log -f`` shows what happens from then on."""
     robot()
@@ -239,6 +241,7 @@ def test_a_second_start_is_refused(esair, robot, start):
 
 
 @pytest.mark.promise("REC-1")
+@pytest.mark.long
 def test_a_run_is_recorded_with_what_the_operator_did(esair, robot):
     """``--record`` without a path records to this folder; the stop is in the file."""
     folder = robot("rover", "--record")

@@ -12,6 +12,7 @@ PLANTED = Path(__file__).parents[1] / "torture" / "planted.py"
 BRIEFLY = ("--faults", 60, "--seed", 5)
 
 
+@pytest.mark.long
 def test_a_sound_robot_survives_all(esair_command, capsys) -> None:
     """Exit code 0; every fault by kind, and the seed."""
     robot = f"{PLANTED}:sound"

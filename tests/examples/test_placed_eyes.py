@@ -9,6 +9,7 @@ import pytest
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.promise("PLC-3")
 async def test_it_stands_still_and_drives_on(monkeypatch, capsys):

@@ -61,6 +61,7 @@ def test_docking_finds_its_battery_low() -> None:
 
 
 @pytest.mark.real_clock
+@pytest.mark.long
 def test_slow_arm_ends_by_itself() -> None:
     """All its behaviors end, so the robot ends, without an error."""
     with start("slow_arm.py") as script:
