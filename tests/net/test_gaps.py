@@ -137,7 +137,7 @@ async def test_a_lost_peer_is_known_in_time_and_comes_back() -> None:
         for name in ("base", "far_sonar", "far_wheels"):
             state = rover.resources.query(name).state
             assert state is not esair.ResourceState.READY, name
-        with pytest.raises(esair.DeviceLostError, match="no beat"):
+        with pytest.raises(esair.DeviceLostError, match="no echo"):
             await hand.sonar.read()
         await asyncio.sleep(10.0)
         pair.network.heal()

@@ -32,7 +32,7 @@ BEAT = 0.05
 """How often each side beats, in seconds."""
 
 SILENCE = 1.0
-"""After so many seconds without a beat the peer is lost."""
+"""A peer is lost whose newest echo is of a beat that was sent so many seconds ago."""
 
 FIRST = 0.4
 """How long an opening waits for the first beat, in seconds."""
@@ -152,7 +152,7 @@ class PeerBus(Bus):
             self.say("beat")
             silent = loop.time() - self._heard_at
             if self._alive.is_set() and silent > SILENCE:
-                self._gone(f"no beat for {silent:.2g} s")
+                self._gone(f"no echo of a beat for {silent:.2g} s")
             elif self.is_open and self._beats % _FOLLOW_AGAIN == 0:
                 self._tell_followed()
             await asyncio.sleep(BEAT)
@@ -195,7 +195,6 @@ class PeerBus(Bus):
             self._its_run, self._its_beat = head.run, -1
             if self._alive.is_set():
                 self._gone("it has restarted")
-        self._heard_at = now
         if head.beat > self._its_beat:
             gap, self._its_beat, self._beat_at = now - self._beat_at, head.beat, now
             if self.is_open:
@@ -204,12 +203,16 @@ class PeerBus(Bus):
         since = self._since(head)
         if since > NEVER:
             self.round_trip = max(0.0, now - since - head.held)
+            self._heard_at = max(self._heard_at, since)
         if what == "bye":
             self._over.append(head.run)
             self._its_run = 0
             self._gone("it has ended")
             return
         if not self._alive.is_set():
+            # Both ways are there only when the peer echoes what was sent just now.
+            if now - since > SILENCE:
+                return
             self._alive.set()
             self.arrived()
         if what != "beat":
