@@ -158,8 +158,9 @@ class PeerBus(Bus):
             await asyncio.sleep(BEAT)
 
     def _gone(self, told: str) -> None:
+        was_there = self._alive.is_set()
         self._alive.clear()
-        if self.is_open and self._serve is not None:
+        if was_there and self._serve is not None:
             self._serve("lost", NEVER, b"")
         self.lost(DeviceLostError(self.name, told))
 
@@ -226,13 +227,13 @@ class PeerBus(Bus):
         return self._sent[-1 - back]
 
     def _take(self, what: str, since: float, sent: float, body: bytes) -> None:
-        if not self.is_open:
-            self.stats.unheard += 1
-        elif what in FOR_OWNER:
+        if what in FOR_OWNER:  # also while its own devices are not open again
             if self._serve is None:
                 self._not_served(what, body)
             else:
                 self._serve(what, since, body)
+        elif not self.is_open:
+            self.stats.unheard += 1
         elif what == "ready":
             for listener in tuple(self._on_arrival):
                 listener()
@@ -356,7 +357,7 @@ class PeerBus(Bus):
     def serve(self, serve: Serve | None) -> None:
         """Hand what the peer asks for here to a function; None to hand on nothing."""
         self._serve = serve
-        if serve is not None and self.is_open:
+        if serve is not None and self._alive.is_set():
             self.say("ready")
 
 

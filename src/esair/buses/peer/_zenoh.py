@@ -216,6 +216,7 @@ class Network:
         yield "transport/link/protocols", ["tcp" if self.tls is None else "tls"]
         # A way that a cut has broken is made anew: TCP alone would wait ever longer.
         yield "transport/link/tx/lease", 1200
+        yield "transport/unicast/open_timeout", 1000
         if self.tls is not None:
             certificate, key = str(self.tls.certificate), str(self.tls.key)
             yield (
