@@ -55,6 +55,7 @@ from esair.drivers.board.wire import (
     tuples,
 )
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.loop import REACHED
 from esair.resources import Actuator, ActuatorSettings, Sensor, SensorSettings
 
 __all__ = ["Board", "BoardActuator", "BoardSensor", "BoardState"]
@@ -131,7 +132,7 @@ class _Beats(SharedTask):
         with bus.frames() as inbox:
             due = asks = loop.time()
             while True:
-                if loop.time() >= due:
+                if loop.time() >= due - REACHED:
                     due = loop.time() + BEAT_MS / 1000
                     for message in self.wire.beat(self.armed):
                         await self.send(bus, message)
