@@ -1,4 +1,4 @@
-"""P15: what a step of MIN costs, on CPython and on MicroPython, and how large MIN is."""
+"""P15: what a step of MIN costs, on CPython, MicroPython, a board and in C; its size."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ import tempfile
 import tracemalloc
 from pathlib import Path
 
+from tests.chips import avr, demo
+from tests.minimal import test_costs as costs
+from tests.minimal.hw.board import why_not
+
 from benchmarks.cases import minimal_step
 from benchmarks.harness import Row, us
 from esair import minimal
@@ -21,7 +25,7 @@ SOURCE = Path(minimal.__file__)
 ROOM = 6200
 """How large MIN may be compiled, in bytes."""
 
-GOAL = "goal: instructions on the board, tests/minimal/test_costs.py"
+GOAL = "goal: instructions on the board, see below"
 
 ON_MICROPYTHON = """
 import json
@@ -32,7 +36,8 @@ print(json.dumps([limits, allocated(1000)]))
 
 
 async def rows() -> list[Row]:
-    return [*_on_cpython(), *_on_micropython(), *_size()]
+    there = [*_on_cpython(), *_on_micropython(), *_size()]
+    return [*there, *_on_a_board(), *_in_c()]
 
 
 def _on_cpython() -> list[Row]:
@@ -114,3 +119,46 @@ def _size() -> list[Row]:
         )
         size = compiled.stat().st_size
     return [Row(case, f"{size} B", f"{ROOM} B", size / ROOM, 1.0)]
+
+
+def _on_a_board() -> list[Row]:
+    """Instructions of an emulated Cortex-M3: the same on each computer."""
+    case, reason = "P15 a board,", why_not()
+    if reason:
+        return [Row(f"{case} a step", "", "", 0.0, None, reason)]
+    with tempfile.TemporaryDirectory() as folder:
+        found = costs.measured(Path(folder))
+    rows = [
+        Row(f"{case} {name}, to three calls", f"{times:.2f}", "1", times, goal)
+        for name, (goal, _) in costs.COSTS.items()
+        for times in [found[name][0]]
+    ]
+    bare, linked = found["bare"], found["linked"]
+    for what, at, goal in (("a step", 0, 2.0), ("the worst step", 1, 3.0)):
+        each = f"{linked[at]:.0f} us", f"{bare[at]:.0f} us", linked[at] / bare[at]
+        rows.append(Row(f"{case} {what} with a link, to one without", *each, goal))
+    size, sent = linked[2] - bare[2], linked[3]
+    rows.append(_most(f"{case} memory of a link, a step", size, 200, "B"))
+    rows.append(_most(f"{case} bytes on the line in a second", sent, costs.V1 / 2, "B"))
+    return rows
+
+
+def _in_c() -> list[Row]:
+    """The reflexes of the demo on a simulated ATmega328P of 16 MHz."""
+    case, reason = "P15 C, an ATmega328P", avr.why_not()
+    if reason:
+        return [Row(case, "", "", 0.0, None, reason)]
+    rows = []
+    for guarded, words in ((False, "reflexes"), (True, "with a guard")):
+        with tempfile.TemporaryDirectory() as folder:
+            flash, ram, cycles = demo.measured(Path(folder), guarded=guarded)
+        rows += [
+            _most(f"{case}, {words}: flash", flash, 8192, "B"),
+            _most(f"{case}, {words}: RAM with the stack", ram, 1024, "B"),
+            _most(f"{case}, {words}: the worst step", cycles / 16000, 0.5, "ms"),
+        ]
+    return rows
+
+
+def _most(case: str, found: float, limit: float, unit: str) -> Row:
+    return Row(case, f"{found:.4g} {unit}", f"{limit:.4g} {unit}", found / limit, 1.0)

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.chips import avr, robots
+from tests.chips import avr, demo, robots
 
 from esair.cli import main
 from esair.config import load
@@ -18,21 +18,9 @@ from esair.firmware.c import build
 pytestmark = [pytest.mark.promise("MIN-7"), pytest.mark.real_clock]
 
 ROOT = Path(__file__).parents[2]
-ROVER = ROOT / "examples" / "minimal_rover" / "robot.toml"
 REFLEX = ROOT / "docs" / "code" / "reflex.toml"
 
 GCC = ["gcc", *robots.FLAGS]
-
-
-def rover(folder: Path, *, guarded: bool = True) -> Path:
-    """Return the reflexes of the demo: the example has two of the three."""
-    name = f"rover_{folder.name}"  # a process has one module of a name
-    shutil.copy(ROVER.parent / "rover_pins.py", folder / f"{name}.py")
-    path = folder / "robot.toml"
-    text = ROVER.read_text().replace("rover_pins:", f"{name}:")
-    brake = '\n[behavior.brake]\ndriver = "esair.demo:Brake"\n'
-    path.write_text(text + brake * guarded)
-    return path
 
 
 @pytest.mark.parametrize("board", ["c", "avr"])
@@ -86,7 +74,9 @@ def test_a_start_is_not_armed(tmp_path) -> None:
 @pytest.mark.skipif(not shutil.which("g++"), reason="needs g++")
 def test_the_sketch_is_one_of_c_plus_plus(tmp_path) -> None:
     """With what Arduino declares; every stub says that it has done nothing."""
-    build(rover(tmp_path), tmp_path / "out", target="avr", watchdog=0.5, arm="pin:7")
+    build(
+        demo.rover(tmp_path), tmp_path / "out", target="avr", watchdog=0.5, arm="pin:7"
+    )
     folder = tmp_path / "out" / "robot"
     text = (folder / "robot.ino").read_text()
     assert "wdt_enable(WDTO_500MS)" in text
@@ -177,62 +167,12 @@ def test_the_reflexes_of_the_demo_fit_into_an_atmega328p(
     tmp_path, guarded, flash, cycles
 ) -> None:
     """In 8 KB of flash and, with its stack, in 1 KB of RAM; cycles at 16 MHz."""
-    build(rover(tmp_path, guarded=guarded), tmp_path, target="avr", arm="always")
-    folder = tmp_path / "robot"
-    endless = FIXED + "int main(void) { robot_open(); for (;;) robot_step(); }"
-    program, ram = avr.sizes(avr.compiled(folder, endless))
-    lines = avr.printed(avr.compiled(folder, FIXED + TIMED))
-    worst, stack = map(int, lines[-1].split()[1:])
+    program, ram, worst = demo.measured(tmp_path, guarded=guarded)
 
     assert program <= flash
-    assert ram + stack <= 1024
+    assert ram <= 1024
     assert worst <= cycles
 
-
-FIXED = """
-static volatile real near = 1.0f;
-static volatile bool touched;
-static real told;
-bool read_ranges(Robot_Scan *v)
-{
-    *v = (Robot_Scan){-0.6f, 0.6f, {{near, near, near}}};
-    return true;
-}
-bool read_bumper(Robot_Touch *v)
-{
-    v->left = touched;
-    v->right = false;
-    return true;
-}
-bool write_wheels(Robot_Twist v)
-{
-    told = v.linear;
-    return true;
-}
-"""
-
-TIMED = """
-extern uint8_t __heap_start;
-int main(void)
-{
-    uint16_t worst = 0;
-    uint8_t *top = (uint8_t *)SP, *low = &__heap_start;
-    begin();
-    for (uint8_t *p = low; p < top - 8; p++) *p = 0xA5;
-    robot_open();
-    for (int i = 0; i < 200; i++) {
-        near = i % 40 < 20 ? 1.0f : 0.18f;
-        touched = i % 60 == 30;
-        uint16_t from = TCNT1;
-        robot_step();
-        uint16_t took = TCNT1 - from;
-        if (took > worst) worst = took;
-    }
-    while (*low == 0xA5) low++;
-    printf("= %u %u\\n", worst, (unsigned)(RAMEND - (uint16_t)low));
-    end();
-}
-"""
 
 TRANSLATED = {
     "docs/code/reflex.toml": True,

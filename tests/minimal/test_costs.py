@@ -235,13 +235,8 @@ COSTS = {
 """At most so many times three calls, `write(react(read()))`, and bytes, for one step."""
 
 
-@pytest.fixture(scope="module")
-def found(tmp_path_factory) -> dict[str, list[float]]:
-    """What was measured."""
-    reason = why_not()
-    if reason:
-        pytest.skip(reason)
-    folder = tmp_path_factory.mktemp("board")
+def measured(folder: Path) -> dict[str, list[float]]:
+    """Measure on the emulated board; its files are put into a folder."""
     (folder / "esair" / "boards").mkdir(parents=True)
     source = Path(minimal.__file__)
     shutil.copy(source, folder / "esair" / "minimal.py")
@@ -254,6 +249,15 @@ def found(tmp_path_factory) -> dict[str, list[float]]:
     with Board(folder, exact=True) as board:
         costs["bare"], costs["linked"] = json.loads(board.run(LINK))
     return costs
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory) -> dict[str, list[float]]:
+    """What was measured."""
+    reason = why_not()
+    if reason:
+        pytest.skip(reason)
+    return measured(tmp_path_factory.mktemp("board"))
 
 
 @pytest.mark.parametrize("step", COSTS)
