@@ -157,9 +157,9 @@ def test_no_floats_where_the_reactions_have_none(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("guarded", "flash", "cycles"),
     [
-        pytest.param(False, 6500, 8000, id="as in the example: 0.5 ms a step at most"),
+        pytest.param(False, 6500, 6000, id="as in the example: 0.5 ms a step at most"),
         pytest.param(
-            True, 8192, 12000, id="with the guard, which looks at the scan too"
+            True, 8192, 9500, id="with the guard, which looks at the scan too"
         ),
     ],
 )

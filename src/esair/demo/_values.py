@@ -25,8 +25,10 @@ class Scan(namedtuple("Scan", ("first", "step", "ranges"))):
         """Return the least distance between two directions, in metres."""
         least = float("inf")
         for index, distance in enumerate(self.ranges):
-            if begin <= self.first + index * self.step <= end and distance < least:
-                least = distance
+            if distance < least:
+                direction = self.first + index * self.step
+                if begin <= direction <= end:
+                    least = distance
         return least
 
 
