@@ -16,7 +16,16 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from esair.firmware.c._scope import UNKNOWN, Scope, Value, convert
-from esair.firmware.c._types import BOOL, INT, NONE, REAL, RefusedError, Type, equal
+from esair.firmware.c._types import (
+    BOOL,
+    INT,
+    NONE,
+    REAL,
+    RefusedError,
+    Type,
+    equal,
+    is_named,
+)
 
 # What each operator is called for integers, for floats, and in Python.
 _OPERATORS: Final[dict[type[ast.operator], tuple[str, str, Any]]] = {
@@ -210,10 +219,7 @@ class Expressions:
             return "false"
         if value.type.of:
             value = self.kept(value)
-            inside = self.truth(
-                Value(value.type.of or NONE, f"{value.text}.value", True)
-            )
-            return f"({value.text}.some && {inside})"
+            return f"({value.text}.some && {self.truth(inside(value))})"
         if value.type.fields:
             return "true"
         return value.text if value.type is BOOL else f"({value.text} != 0)"
@@ -281,11 +287,7 @@ class Expressions:
                     "C has no identity of values: write ==, or `is None`"
                 )
             if left.type.of:
-                return (
-                    f"({no or '!'}{left.text}.some)"
-                    if not no
-                    else f"({left.text}.some)"
-                )
+                return f"({'' if no else '!'}{left.text}.some)"
             if not left.simple:
                 self.scope.say(f"(void)({left.text});")
             return "true" if (left.type is NONE) != bool(no) else "false"
@@ -311,10 +313,7 @@ class Expressions:
             raise RefusedError(
                 "== of what may be None: ask `is None` before, and keep a number"
             )
-        left, right = (
-            self.number(left, "a comparison"),
-            self.number(right, "a comparison"),
-        )
+        left, right = (self.number(each, "a comparison") for each in (left, right))
         as_text = self.as_real if REAL in {left.type, right.type} else self.as_int
         return f"({as_text(left)} {_COMPARED[type(op)]} {as_text(right)})"
 
@@ -353,11 +352,10 @@ class Expressions:
             and one.type is not NONE is not other.type
         ):
             asked = ast.dump(node.test.left)
-            if isinstance(node.test.ops[0], ast.IsNot) and ast.dump(node.body) == asked:
+            op = type(node.test.ops[0])
+            if op is ast.IsNot and ast.dump(node.body) == asked:
                 one = self.there(one)
-            elif (
-                isinstance(node.test.ops[0], ast.Is) and ast.dump(node.orelse) == asked
-            ):
+            elif op is ast.Is and ast.dump(node.orelse) == asked:
                 other = self.there(other)
         kind = self.scope.joined(one.type, other.type, "the two sides of `if ... else`")
         if kind is NONE:
@@ -387,10 +385,8 @@ class Expressions:
         return self._tuple(self.scope.types.tuple_of(kinds, names, cls), values)
 
     def _tuple(self, kind: Type, values: Sequence[Value]) -> Value:
-        inside = f"{{{', '.join(each.text for each in values)}}}"
-        return Value(
-            kind, f"(({kind.c}){{{inside}}})" if kind.row else f"(({kind.c}){inside})"
-        )
+        text = f"{{{', '.join(each.text for each in values)}}}"
+        return Value(kind, f"(({kind.c}){f'{{{text}}}' if kind.row else text})")
 
     def item(self, value: Value, number: int) -> Value:
         """Return a field of a tuple."""
@@ -456,24 +452,15 @@ class Expressions:
             return self.scope.constant(float(ast.literal_eval(node.args[0])))  # "inf"
         values = self.operands([*node.args, *(each.value for each in node.keywords)])
         args = values[: len(node.args)]
-        named = {
-            k.arg: v
-            for k, v in zip(node.keywords, values[len(args) :], strict=True)
-            if k.arg
-        }
-        if (
-            isinstance(target, type)
-            and issubclass(target, tuple)
-            and hasattr(target, "_fields")
-        ):
-            return self.display(
-                [*self.scope.memory.bound(_new(target), args, named).values()], target
-            )
+        names = [str(each.arg) for each in node.keywords]
+        named = dict(zip(names, values[len(args) :], strict=True))
+        bound = self.scope.memory.bound
+        if is_named(target):
+            new = functools.partial(target.__new__, target)
+            return self.display([*bound(new, args, named).values()], target)
         if isinstance(target, types.FunctionType | types.MethodType):
             first = [owner] if owner is not None else []
-            return self._called(
-                target, self.scope.memory.bound(target, [*first, *args], named)
-            )
+            return self._called(target, bound(target, [*first, *args], named))
         if named:
             raise RefusedError(f"{ast.unparse(function):.60}: give it no keywords")
         return self._builtin(target, ast.unparse(function), args)
@@ -497,11 +484,9 @@ class Expressions:
             return value
         if value.type.of:
             value = self.kept(value)
-            inside = self.as_command(
-                Value(value.type.of or NONE, f"{value.text}.value", True), kind
-            )
+            text = self.as_command(inside(value), kind).text
             some = self.scope.types.option(kind)
-            return Value(some, f"(({some.c}){{{value.text}.some, {inside.text}}})")
+            return Value(some, f"(({some.c}){{{value.text}.some, {text}}})")
         if kind is REAL and value.type is INT:
             return Value(REAL, self.as_real(value))
         named = not kind.names or (
@@ -532,11 +517,11 @@ class Expressions:
         kind = self.scope.types.tuple_of(tuple(options), tuple(ports), None)
         values = dict(zip(keys, self.operands(node.values), strict=True))
         none = self.scope.constant(None)
-        inside = [
+        texts = [
             convert(self.as_command(values.get(name, none), ports[name]), option)
             for name, option in zip(ports, options, strict=True)
         ]
-        return Value(kind, f"(({kind.c}){{{', '.join(inside)}}})")
+        return Value(kind, f"(({kind.c}){{{', '.join(texts)}}})")
 
     def _looked_up(self, function: ast.Attribute, node: ast.Call) -> Value:
         """Translate ``{key: value, ...}.get(key, default)`` of constants."""
@@ -571,9 +556,8 @@ class Expressions:
             raise RefusedError(f"{said}: C has no such function")
         if len(args) == 1 and target in {min, max} and args[0].type.row is not None:
             row = self.kept(args[0])
-            return self._extreme(
-                target, [self.item(row, n) for n in range(len(row.type.fields))]
-            )
+            args = [self.item(row, n) for n in range(len(row.type.fields))]
+            return self._extreme(target, args)
         if target in {min, max} and len(args) > 1:
             return self._extreme(target, args)
         if target is len and len(args) == 1 and args[0].type.fields:
@@ -581,10 +565,8 @@ class Expressions:
         if target is bool and len(args) == 1:
             return Value(BOOL, self.truth(args[0]))
         takes = 2 if target in {math.atan2, math.copysign} else 1
-        known = target in {abs, float} or any(
-            target in each for each in (_MATH, _TO_INT, _TO_BOOL)
-        )
-        if not known or len(args) != takes:
+        known = {abs, float, *_MATH, *_TO_INT, *_TO_BOOL}
+        if target not in known or len(args) != takes:
             instead = next(
                 (text for each, text in _INSTEAD.items() if target is each), ""
             )
@@ -628,6 +610,6 @@ class Expressions:
         return Value(values[0].type, text)
 
 
-def _new(cls: type) -> Any:
-    """Return what makes a named tuple, without its first parameter."""
-    return functools.partial(cls.__new__, cls)
+def inside(value: Value) -> Value:
+    """Return what a value is that is not None."""
+    return Value(value.type.of or NONE, f"{value.text}.value", True)

@@ -71,10 +71,8 @@ class Functions:
     ) -> Function:
         """Return a function for the types of arguments, translated in this round."""
         python = getattr(target, "__func__", target)
-        if (
-            getattr(target, "__self__", self.memory.reaction)
-            is not self.memory.reaction
-        ):
+        mine = self.memory.reaction
+        if getattr(target, "__self__", mine) is not mine:
             raise RefusedError(
                 f"{python.__name__} is a method of a class: write a plain one"
             )
@@ -125,13 +123,8 @@ class Functions:
         own = {n: t for n, t in function.locals.items() if t is not NONE}
         for name, kind in function.kinds.items():
             if kind is not own.get(name, NONE) and kind is not NONE:
-                self._errors.append(
-                    RefusedError(
-                        f"{name} may become None: give that another name",
-                        node.lineno + before,
-                        file,
-                    )
-                )
+                told = f"{name} may become None: give that another name"
+                self._errors.append(RefusedError(told, node.lineno + before, file))
         body = [
             f"{t.c} v_{in_c(n)} = {zero(t)};"
             for n, t in own.items()

@@ -45,7 +45,7 @@ class Statements:
             ast.For: self._for,
             ast.Return: self._return,
             ast.Assert: self._assert,
-            ast.Raise: self._raise,
+            ast.Raise: lambda _: self._leave("es_fail();"),
             ast.Pass: lambda _: True,
             ast.Break: lambda _: self._leave("break;"),
             ast.Continue: lambda _: self._leave("continue;"),
@@ -172,9 +172,7 @@ class Statements:
             target = self.scope.thing(node.func)
             if target is range:
                 known = [each.known for each in self.expressions.operands(node.args)]
-                if not 1 <= len(known) <= 3 or any(
-                    type(each) is not int for each in known
-                ):
+                if not 1 <= len(known) <= 3 or {*map(type, known)} != {int}:
                     raise RefusedError(
                         "a range whose end is not known has no bound: write `for i in range(100):` "
                         "with `if i >= end: break`"
@@ -199,9 +197,7 @@ class Statements:
                 f"a loop over {value.type.said}: only over a range or a row of equal types"
             )
         names = (each.id for each in ast.walk(node) if isinstance(each, ast.Name))
-        if any(
-            _changes(body, name) for name in names
-        ):  # the loop goes on over what it was
+        if any(_changes(body, name) for name in names):  # it goes on over what it was
             value = Value(value.type, value.text)
         value = self.expressions.kept(value)
         return len(value.type.fields), Value(row, f"{value.text}.v[{count}]")
@@ -219,9 +215,8 @@ class Statements:
         function.result = kind
         if kind is NONE and not value.simple:
             self.scope.say(f"(void)({value.text});")
-        return self._leave(
-            "return;" if kind is NONE else f"return {convert(value, kind)};"
-        )
+        text = "" if kind is NONE else f" {convert(value, kind)}"
+        return self._leave(f"return{text};")
 
     def _as_command(self, value: Value, kind: Type) -> Value:
         inner = value.type.of or value.type
@@ -230,13 +225,9 @@ class Statements:
         return self.expressions.as_command(value, kind)
 
     def _assert(self, node: ast.Assert) -> bool:
-        self.scope.block(
-            f"if (!{self.expressions.condition(node.test)})", ["es_fail();"]
-        )
+        test = self.expressions.condition(node.test)
+        self.scope.block(f"if (!{test})", ["es_fail();"])
         return True
-
-    def _raise(self, _: ast.Raise) -> bool:
-        return self._leave("es_fail();")
 
     def _leave(self, line: str) -> bool:
         self.scope.say(line)
@@ -248,14 +239,10 @@ def _asked(test: ast.expr) -> tuple[str, bool]:
     if isinstance(test, ast.BoolOp) and isinstance(test.op, ast.And):
         found = [_asked(each) for each in test.values]
         return next((each for each in found if each[1]), ("", False))
-    if isinstance(test, ast.Compare) and [*map(ast.unparse, test.comparators)] == [
-        "None"
-    ]:
-        is_not = isinstance(test.ops[0], ast.IsNot)
-        if isinstance(test.left, ast.Name) and (
-            is_not or isinstance(test.ops[0], ast.Is)
-        ):
-            return test.left.id, is_not
+    if isinstance(test, ast.Compare) and isinstance(test.left, ast.Name):
+        asked = [*map(ast.unparse, test.comparators)] == ["None"]
+        if asked and isinstance(test.ops[0], ast.Is | ast.IsNot):
+            return test.left.id, isinstance(test.ops[0], ast.IsNot)
     return "", False
 
 

@@ -122,15 +122,11 @@ class Types:
             equal(t, f"a{made.field(n)}", f"b{made.field(n)}")
             for n, t in enumerate(fields)
         ]
+        body = f"return {' && '.join(same)};"
         if made.row is not None:
             inside = [f"{fields[0].c} v[{len(fields)}];"]
-            each = equal(fields[0], "a.v[i]", "b.v[i]")
-            body = (
-                f"for (int i = 0; i < {len(fields)}; i++) if (!({each})) return false; "
-            )
-            body += "return true;"
-        else:
-            body = f"return {' && '.join(same)};"
+            each = f"if (!({equal(fields[0], 'a.v[i]', 'b.v[i]')})) return false;"
+            body = f"for (int i = 0; i < {len(fields)}; i++) {each} return true;"
         self.lines.append(f"typedef struct {{ {' '.join(inside)} }} {made.c};")
         if not any(t.of for t in fields):
             self.functions.append(
@@ -185,11 +181,7 @@ class Types:
             some = [each for each in inside if each is not type(None)]
             return self.of_annotation(some[0]) if len(some) == 1 else None
         names, cls = (), None
-        if (
-            isinstance(hint, type)
-            and issubclass(hint, tuple)
-            and hasattr(hint, "_fields")
-        ):
+        if is_named(hint):
             names, cls = hint._fields, hint
             hints = typing.get_type_hints(hint)
             inside = tuple(hints.get(each) for each in names)
@@ -216,13 +208,9 @@ class Types:
                 raise RefusedError(
                     f"{value} does not fit into 32 bits: write a smaller one"
                 )
-            return (
-                "INT32_MIN"
-                if value == -(2**31)
-                else f"({value})"
-                if value < 0
-                else f"{value}"
-            )
+            if value == -(2**31):
+                return "INT32_MIN"
+            return f"({value})" if value < 0 else f"{value}"
         if kind is REAL:
             if math.isnan(value):
                 return "R(NAN)"
@@ -240,6 +228,11 @@ class Types:
             return self.literal(value, kind)
         inside = ", ".join(map(self.braces, value, kind.fields))
         return f"{{{{{inside}}}}}" if kind.row else f"{{{inside}}}"
+
+
+def is_named(cls: Any) -> bool:
+    """Whether something is the class of a named tuple."""
+    return isinstance(cls, type) and issubclass(cls, tuple) and hasattr(cls, "_fields")
 
 
 def _is_tuple(cls: type) -> bool:

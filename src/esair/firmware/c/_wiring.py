@@ -168,12 +168,8 @@ class Wiring:
                         dict(minimal.declared(task.reaction))[key].type,
                     ]
         for hint in said:
-            kind = (
-                self._types.of_annotation(hint)
-                if hint not in {None, type(None)}
-                else None
-            )
-            if kind is not None:
+            known = hint not in {None, type(None)}
+            if known and (kind := self._types.of_annotation(hint)) is not None:
                 return kind
         raise RefusedError(
             "what it gives is not known: give its class `example = ...`, a reading as it "
