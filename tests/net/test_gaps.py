@@ -148,6 +148,24 @@ async def test_a_lost_peer_is_known_in_time_and_comes_back() -> None:
         assert await hand.sonar.read() == 0.7
 
 
+@pytest.mark.promise("NET-3")
+async def test_a_way_in_one_direction_is_none() -> None:
+    """A peer that is heard, and hears nothing, is not there; nor does it stay there."""
+    pair = Pair()
+    pair.network.deaf.add("base")
+    async with pair.base(), pair.rover() as rover:
+        for _ in range(2):
+            await asyncio.sleep(1.3)
+            for name in ("base", "far_wheels"):
+                state = rover.resources.query(name).state
+                assert state is not esair.ResourceState.READY
+            pair.network.deaf.clear()
+            await asyncio.sleep(0.3)
+            state = rover.resources.query("far_wheels").state
+            assert state is esair.ResourceState.READY
+            pair.network.deaf.add("base")
+
+
 @pytest.mark.promise("NET-4", "NET-3")
 async def test_a_restarted_owner_moves_by_nothing_from_before() -> None:
     """The user stays; the owner is another run, and hears fresh commands alone."""

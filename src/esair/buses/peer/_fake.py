@@ -37,6 +37,7 @@ class FakeNetwork:
     Attributes:
         delay: How long each message takes, in seconds.
         loss: Which share of the messages is lost, from 0 to 1.
+        deaf: Robots that hear nothing, though they are heard.
         log: Every message that was sent: who, to whom, what, and its bytes.
 
     Example:
@@ -48,6 +49,7 @@ class FakeNetwork:
     def __init__(self, *, delay: float = 0.0, loss: float = 0.0, seed: int = 0) -> None:
         self.delay = delay
         self.loss = loss
+        self.deaf: set[str] = set()
         self.log: list[tuple[str, str, str, bytes]] = []
         self._random = random.Random(seed)
         self._there: dict[tuple[str, str], PeerBus] = {}
@@ -108,7 +110,7 @@ class FakeNetwork:
     def _arrive(self, message: tuple[str, str, str, bytes]) -> None:
         sender, to, what, data = message
         bus = self._there.get((to, sender))
-        if bus is not None:
+        if bus is not None and to not in self.deaf:
             door = Door.of(asyncio.get_running_loop())
             door.end(("peer", sender), bus.came, what, data)
 
