@@ -23,6 +23,7 @@ TRANSLATED = {
     *("line_follower Follow", "line_follower ClearLeft", "line_follower ClearRight"),
     *("reflex Stop", "reflex Cruise", "reflexes Avoid", "reflexes Gentle"),
     *("greenhouse NotTooWarm", "greenhouse NotTooWet", "modbus_pump Fill"),
+    *("follow_line Follow", "follow_line Clear", "greenhouse_plan NotTooWet"),
 }
 """The others read or write what only a computer has, or take the history of a port."""
 

@@ -131,6 +131,7 @@ class FakeClock(Clock):
         self,
         moment: str,
         offset: float = 0.0,
+        /,
         *,
         not_before: str = "2025-01-01",
         **settings: Unpack[SensorSettings],

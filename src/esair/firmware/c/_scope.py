@@ -14,6 +14,7 @@ import attrs
 
 from esair.firmware.c._types import INT, NONE, RefusedError, Type, Types, in_c
 from esair.minimal import declared
+from esair.resources import REFUSE
 
 UNKNOWN: Final = object()
 _MANY: Final = {inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD}
@@ -104,6 +105,9 @@ class Memory:
 
     def constant(self, value: Any) -> Value:
         """Return a value that is known."""
+        guards = any(hasattr(need, "latch") for _, need in declared(self.reaction))
+        if value is REFUSE and guards:
+            value = None
         kind = self.types.of_value(value)
         if kind is NONE:
             return Value(NONE, "", True, None)
