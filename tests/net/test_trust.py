@@ -133,6 +133,7 @@ async def test_whatever_arrives_only_counters_move(messages: int) -> None:
         stats = pair.to_rover.stats
         assert stats.bad_frames + stats.refused > messages // 10
         assert base.behaviors.query("rover").restarts == 0
+        await asyncio.sleep(5.0)
         assert await hand.wheels.write(Twist(0.2, 0.0))
 
 

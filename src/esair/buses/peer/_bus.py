@@ -201,6 +201,12 @@ class PeerBus(Bus):
             if self.is_open:
                 for listener in tuple(self._on_gap):
                     listener(gap)
+        if head.echo_run == self._run and head.echo > self._beats:
+            # A number came there that was never sent: count on from it, or what is
+            # sent from now on stays unheard.
+            self.stats.bad_frames += 1
+            self._beats = head.echo
+            self._sent.clear()
         since = self._since(head)
         if since > NEVER:
             self.round_trip = max(0.0, now - since - head.held)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import asyncio
 import random
 from collections.abc import Iterable
+from typing import Final
 
 import attrs
 
 from esair.buses.peer._bus import PeerBus, Send
 from esair.loop import Door
+
+_AGAIN: Final = 0.2  # how long it takes until TCP sends again, in seconds
 
 
 @attrs.frozen
@@ -36,7 +39,8 @@ class FakeNetwork:
 
     Attributes:
         delay: How long each message takes, in seconds.
-        loss: Which share of the messages is lost, from 0 to 1.
+        loss: Which share of the messages comes 0.2 s late, from 0 to 1, and holds up
+            those behind it: TCP sends again what is lost.
         deaf: Robots that hear nothing, though they are heard.
         log: Every message that was sent: who, to whom, what, and its bytes.
 
@@ -55,6 +59,7 @@ class FakeNetwork:
         self._there: dict[tuple[str, str], PeerBus] = {}
         self._cut: dict[str, bool] = {}
         self._kept: list[tuple[str, str, str, bytes]] = []
+        self._last: dict[tuple[str, str], float] = {}  # when a way's last one arrives
 
     def of(self, me: str) -> FakeAccess:
         """Return what a robot reaches its peers by."""
@@ -97,13 +102,16 @@ class FakeNetwork:
             if all(cuts):
                 self._kept.append(message)
             return
-        if not (self.loss and self._random.random() < self.loss):
-            self._deliver(message)
+        is_lost = self.loss and self._random.random() < self.loss
+        self._deliver(message, _AGAIN if is_lost else 0.0)
 
-    def _deliver(self, message: tuple[str, str, str, bytes]) -> None:
+    def _deliver(self, message: tuple[str, str, str, bytes], late: float = 0.0) -> None:
         loop = asyncio.get_running_loop()
-        if self.delay:
-            loop.call_later(self.delay, self._arrive, message)
+        now, way = loop.time(), message[:2]
+        at = max(now + self.delay + late, self._last.get(way, 0.0))
+        if at > now:
+            self._last[way] = at
+            loop.call_at(at, self._arrive, message)
         else:
             self._arrive(message)
 

@@ -70,7 +70,7 @@ def head_of(data: bytes) -> tuple[Head, bytes] | None:
     if not _HEAD.size <= len(data) <= LIMIT:
         return None
     head = Head(*_HEAD.unpack_from(data))
-    if not (math.isfinite(head.held) and head.held >= 0.0):
+    if max(head.beat, head.echo) >= 1 << 62 or not 0.0 <= head.held < math.inf:
         return None
     return head, data[_HEAD.size :]
 
