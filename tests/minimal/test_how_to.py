@@ -231,9 +231,11 @@ asyncio.run(main())
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-4", "MIN-5")
 def test_the_page_is_followed_in_a_new_environment(
-    linked_machine: Cable, tmp_path
+    linked_machine: Cable, way: str, tmp_path, request: pytest.FixtureRequest
 ) -> None:
     """Nothing is there but what the page installs: to its end, board and link."""
+    if way != "goes away" and not request.config.getoption("--esair-soak"):
+        pytest.skip("the other ways of the cable: --esair-soak")
     machine, home = linked_machine, tmp_path / "home"
     home.mkdir()
     python = tmp_path / "new" / "bin" / "python"
