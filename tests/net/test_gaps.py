@@ -10,7 +10,8 @@ import pytest
 from tests.net.parts import STILL, Dock, Hand, Pair, Twist
 
 import esair
-from esair.buses.peer import Head, PeerBus, packed
+from esair.buses.peer import PeerBus
+from esair.buses.peer._wire import Head, packed
 
 pytestmark = pytest.mark.virtual_clock
 

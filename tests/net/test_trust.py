@@ -12,7 +12,8 @@ import pytest
 from tests.net.parts import STILL, Dock, Hand, Pair, Twist
 
 import esair
-from esair.buses.peer import FORMS, Head, Network, PeerBus, Tls, packed, parts_of
+from esair.buses.peer import Network, PeerBus, Tls
+from esair.buses.peer._wire import FORMS, Head, packed, parts_of
 from esair.codec import CodecError, Kinds
 from esair.drivers.peer import PeerActuator, PeerSensor
 from esair.peers import Share
