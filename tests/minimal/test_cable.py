@@ -87,7 +87,7 @@ def test_programs_are_deployed_again_and_again(tmp_path, way, arm, link, soak) -
     ) as cable:
         for name in ("bumper.txt", "light.txt"):
             (cable.folder / name).write_text("0")
-        deploys(cable, [folder], 50 if soak else 3)
+        deploys(cable, [folder], 50 if soak else 2)
 
 
 @pytest.mark.long

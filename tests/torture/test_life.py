@@ -92,7 +92,13 @@ def test_what_cannot_be_meant_is_told(partners, within, told) -> None:
 
 @pytest.mark.long
 @pytest.mark.promise("TOR-1")
-@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize(
+    "plant",
+    [
+        pytest.param(plant, marks=[pytest.mark.soak] if number % 4 else [])
+        for number, plant in enumerate(PLANTS)
+    ],
+)
 def test_each_plant_is_found(plant: str) -> None:
     """By random faults; who is blamed is the one that works no more."""
     make, who = PLANTS[plant]
