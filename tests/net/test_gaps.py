@@ -85,6 +85,22 @@ async def test_cuts(seed: int) -> None:
         assert max(old) <= TIMEOUT + pair.network.delay + 0.001
 
 
+@pytest.mark.promise("NET-3", "NET-6")
+async def test_a_beat_that_was_never_sent_ends_no_conversation() -> None:
+    """A damaged number is larger than any that comes: the peer counts on from it."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand) as (_base, rover):
+        bus = pair.to_rover
+        head = Head(bus._its_run, 1 << 60, bus._run, bus._beats, 0.0)
+        pair.network.inject("rover", "base", "beat", packed(head, (), bus.kinds))
+        await asyncio.sleep(3.0)
+        for name in ("base", "far_wheels"):
+            state = rover.resources.query(name).state
+            assert state is esair.ResourceState.READY, name
+        assert await hand.wheels.write(Twist(0.2, 0.0))
+        assert pair.wheels.commands[-1] == Twist(0.2, 0.0)
+
+
 @pytest.mark.promise("NET-4")
 async def test_the_owner_refuses_by_its_own_clock() -> None:
     """A command whose beat is old, of another run, or none at all moves nothing."""

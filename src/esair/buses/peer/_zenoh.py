@@ -11,6 +11,7 @@ import asyncio
 import json
 import logging
 import re
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -136,18 +137,18 @@ class Network:
         import zenoh  # it is there: the session is open
 
         session, name = self._session, bus.name
-        door, tag, waiting = Door.of(loop), ("peer", name), [0]
+        door, tag = Door.of(loop), ("peer", name)
+        room = threading.BoundedSemaphore(_WAITING)
 
         def take(what: str, data: bytes) -> None:
-            waiting[0] -= 1
+            room.release()
             bus.came(what, data)
 
         def come(sample: Any) -> None:  # on a thread of zenoh
             payload = sample.payload
-            if waiting[0] >= _WAITING or len(payload) > LIMIT:
+            if len(payload) > LIMIT or not room.acquire(blocking=False):
                 bus.stats.dropped += 1
                 return
-            waiting[0] += 1
             what = str(sample.key_expr).rpartition("/")[2]
             door.tell(tag, take, what, payload.to_bytes())
 
