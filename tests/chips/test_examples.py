@@ -124,3 +124,38 @@ def outcome(reaction: Any, folder: Path) -> str:
         return " | ".join(refused)
     robots.in_c(wired, folder)
     return ""
+
+
+class ByWord(esair.Reaction):
+    wheel = esair.guards(float)
+
+    def react(self, wheel: float) -> Any:
+        return wheel if wheel < 0.0 else esair.REFUSE
+
+
+class ByNone(esair.Reaction):
+    wheel = esair.guards(float)
+
+    def react(self, wheel: float) -> Any:
+        return wheel if wheel < 0.0 else None
+
+
+class NoGuard(esair.Reaction):
+    far = esair.reads(float)
+    wheel = esair.writes(float)
+
+    def react(self, far: float) -> Any:
+        return esair.REFUSE
+
+
+def test_refuse_is_the_none_of_a_guard(tmp_path) -> None:
+    """The same C; what is no guard has nothing to refuse."""
+    texts = []
+    for cls in (ByWord, ByNone):
+        folder = tmp_path / cls.__name__
+        assert outcome(cls(name="guard"), folder) == ""
+        text = (folder / "robot" / "robot.c").read_text(encoding="utf-8")
+        assert "react_guard" in text
+        texts.append(text)
+    assert texts[0] == texts[1]
+    assert "esair.REFUSE" in outcome(NoGuard(), tmp_path / "none")

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any
+from collections.abc import AsyncIterator
+from typing import Any, NamedTuple
 
 import pytest
 
 import esair
 from esair import Refused
 from esair.journal import Event, Kind
+from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("PRO-1", "AC-2")]
 
@@ -35,77 +37,65 @@ class Other(esair.Behavior):
     wheels = esair.writes(float, priority=5)
 
 
+class Running(NamedTuple):
+    wheels: FakeActuator[float]
+    captain: Captain
+    other: Other
+
+
 @pytest.fixture
-def robot_of(fake_sensor: Any) -> Any:
-    def make(wheels: Any) -> tuple[esair.Robot, Captain, Other]:
-        captain, other = Captain(), Other()
-        sonar = fake_sensor("sonar", 1.0)
-        sonar.unplug()
-        robot = esair.Robot(
-            resources=[sonar, wheels], behaviors=[Watch(), captain, other]
-        )
-        return robot, captain, other
-
-    return make
+async def running() -> AsyncIterator[Running]:
+    """A robot whose captain moves the wheels, and whose watch is blind."""
+    wheels, sonar = FakeActuator("wheels", safe=0.0), FakeSensor("sonar", 1.0)
+    captain, other = Captain(), Other()
+    sonar.unplug()
+    async with esair.Robot(
+        resources=[sonar, wheels], behaviors=[Watch(), captain, other]
+    ):
+        yield Running(wheels, captain, other)
 
 
-async def test_it_ends_the_motion_of_the_same_behavior(
-    fake_actuator: Any, robot_of: Any
-) -> None:
+async def test_it_ends_the_motion_of_the_same_behavior(running: Running) -> None:
     """At once, and its time-out sends nothing more; a motion is refused."""
-    wheels = fake_actuator("wheels", safe=0.0)
-    robot, captain, _ = robot_of(wheels)
-    async with robot:
-        assert await captain.strong.write(0.5)
-        refused = await captain.gentle.write(0.2)
-        assert isinstance(refused, Refused)
-        assert refused.holder == "watch"
-        assert await captain.gentle.write(0.0)
-        told = list(wheels.commands)
-        assert told[-2:] == [0.5, 0.0]
-        await asyncio.sleep(1.0)
-        assert wheels.commands == told
+    wheels, captain, _ = running
+    assert await captain.strong.write(0.5)
+    refused = await captain.gentle.write(0.2)
+    assert isinstance(refused, Refused)
+    assert refused.holder == "watch"
+    assert await captain.gentle.write(0.0)
+    told = list(wheels.commands)
+    assert told[-2:] == [0.5, 0.0]
+    await asyncio.sleep(1.0)
+    assert wheels.commands == told
 
 
-async def test_who_holds_it_keeps_what_is_safe_away(
-    fake_actuator: Any, robot_of: Any
-) -> None:
+async def test_who_holds_it_keeps_what_is_safe_away(running: Running) -> None:
     """A blind hold in between makes nobody stronger than who sees."""
-    wheels = fake_actuator("wheels", safe=0.0)
-    robot, captain, other = robot_of(wheels)
-    async with robot:
-        assert await captain.strong.write(0.5)
-        refused = await other.wheels.write(0.0)
-        assert isinstance(refused, Refused)
-        assert wheels.commands[-1] == 0.5
+    wheels, captain, other = running
+    assert await captain.strong.write(0.5)
+    refused = await other.wheels.write(0.0)
+    assert isinstance(refused, Refused)
+    assert wheels.commands[-1] == 0.5
 
 
-async def test_on_a_busy_line_it_waits_for_its_turn(
-    fake_actuator: Any, robot_of: Any
-) -> None:
+async def test_on_a_busy_line_it_waits_for_its_turn(running: Running) -> None:
     """It is the last on the wire."""
-    wheels = fake_actuator("wheels", safe=0.0)
-    robot, captain, _ = robot_of(wheels)
-    async with robot:
-        wheels.slow(0.05)
-        moves = asyncio.create_task(captain.strong.write(0.5))
-        await asyncio.sleep(0.01)
-        assert await captain.gentle.write(0.0)
-        assert await moves
-        assert wheels.commands[-2:] == [0.5, 0.0]
+    wheels, captain, _ = running
+    wheels.slow(0.05)
+    moves = asyncio.create_task(captain.strong.write(0.5))
+    await asyncio.sleep(0.01)
+    assert await captain.gentle.write(0.0)
+    assert await moves
+    assert wheels.commands[-2:] == [0.5, 0.0]
 
 
-async def test_a_driver_that_fails_is_told_to_who_asked(
-    fake_actuator: Any, robot_of: Any
-) -> None:
+async def test_a_driver_that_fails_is_told_to_who_asked(running: Running) -> None:
     """Safe was not taken: that is an error, no answer."""
-    wheels = fake_actuator("wheels", safe=0.0)
-    robot, captain, _ = robot_of(wheels)
-    async with robot:
-        assert await captain.strong.write(0.5)
-        wheels.fail(OSError("no acknowledge"))
-        with pytest.raises(esair.DeviceFaultError, match="no acknowledge"):
-            await captain.gentle.write(0.0)
+    wheels, captain, _ = running
+    assert await captain.strong.write(0.5)
+    wheels.fail(OSError("no acknowledge"))
+    with pytest.raises(esair.DeviceFaultError, match="no acknowledge"):
+        await captain.gentle.write(0.0)
 
 
 @pytest.mark.promise("ROB-4")
