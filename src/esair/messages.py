@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Self, TypeV
 
 import attrs
 
-from esair.exceptions import ConfigError
+from esair.exceptions import ConfigError, hint_for
 from esair.values import as_path, check_name, is_positive
 
 if TYPE_CHECKING:
@@ -546,6 +546,13 @@ OPERATOR = "operator"
 PEOPLE = ("user", OPERATOR)
 """In whose names people ask behaviors."""
 
+ACTS = (
+    *("list", "query", "status", "why", "help", "stop", "resume", "put", "ask", "add"),
+    *("remove", "mode", "restart", "replace", "set", "operate", "mute", "reset"),
+    *("lease", "drive", "release"),
+)
+"""What an operator can do; `esair.seat` has how."""
+
 
 @attrs.frozen(kw_only=True)
 class Operator:
@@ -571,6 +578,11 @@ class Operator:
             isinstance(each, str) for each in self.allow
         ):
             told = f"expected names of acts, not {self.allow!r:.80}"
+            raise ConfigError(OPERATOR, "allow", told)
+        wrong = [each for each in self.allow if each not in ("*", *ACTS)]
+        if wrong:
+            hint = hint_for(wrong[0], ACTS)
+            told = f"there is no act {', no act '.join(map(repr, wrong)):.300}{hint}"
             raise ConfigError(OPERATOR, "allow", told)
 
     def may(self, act: str) -> bool:

@@ -300,6 +300,28 @@ def test_a_broken_configuration_is_exit_code_2(folder, start) -> None:
     assert not (where / "log.jsonl").exists()
 
 
+def test_each_wrong_value_of_an_option_is_told(
+    folder, esair_command, capsys, monkeypatch
+) -> None:
+    """At once, as exit code 2, and nothing is opened."""
+    where = folder("Once")
+    monkeypatch.chdir(where)
+    words = ["--for=-1", "--page", "[::1]:70000", "--realtime=99"]
+    places = ["--placement", "it=moon", "--placement", "nobody=process"]
+
+    assert esair_command("run", "robot.toml", *words, *places) == 2
+
+    told = capsys.readouterr().err.splitlines()
+    assert [line.split(": ")[1] for line in told] == [
+        "--for",
+        "page",
+        "command line",
+        "--placement",
+        "no component is named 'nobody'; there are it, motor",
+    ]
+    assert not (where / "log.jsonl").exists()
+
+
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan", "inf"])
 def test_a_time_that_makes_no_sense_is_exit_code_2(
     folder, esair_command, capsys, monkeypatch, seconds

@@ -201,18 +201,24 @@ def test_all_mistakes_are_told_at_once(project) -> None:
 def test_each_wrong_value_of_a_table_of_the_robot_is_told(project) -> None:
     """Also beside mistakes elsewhere: nobody mends a file one value at a time."""
     project.write(
-        '[robot]\ngrace = -1\nstart_patience = -1\n[behavior.x]\ndriver = "{m}:X"\n'
+        "[robot]\ngrace = -1\nstart_patience = -1\nwatchdog_limit = 0\n"
+        '[behavior.x]\ndriver = "{m}:X"\n'
         '[record]\npath = "runs"\nmax_bytes = -1\nmin_free = -1\n'
-        '[operator]\nallow = ["fly"]\n'
+        '[operator]\npriority = true\nallow = ["fly", "jump"]\n'
         '[page]\nport = 70000\ntoken = "short"\ninsecure = "no"\n'
     )
 
-    assert list(project.mistakes()) == [
+    found = project.mistakes()
+
+    assert "no act 'fly', no act 'jump'" in found["operator.allow"]
+    assert list(found) == [
         "robot.grace",
         "robot.start_patience",
+        "robot.watchdog_limit",
         "behavior.x.driver",
         "record.max_bytes",
         "record.min_free",
+        "operator.priority",
         "operator.allow",
         "page.port",
         "page.token",

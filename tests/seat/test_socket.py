@@ -14,6 +14,7 @@ from tests.patience import within
 from tests.seat.conftest import STILL, Twist, Wander, eventually
 
 import esair
+from esair import messages, seat
 from esair.seat import CLIENTS, LIMIT
 
 pytestmark = pytest.mark.real_clock
@@ -490,6 +491,11 @@ async def test_the_operator_has_rights_of_its_own(rover, raw):
         assert refused["error"]["type"] == "AccessDeniedError"
         assert "set" in refused["error"]["text"]
         assert robot.halted is not None
+
+
+def test_what_may_be_allowed_is_what_there_is() -> None:
+    """The acts that `Operator` knows by name are those of the seat."""
+    assert set(messages.ACTS) == set(seat.ACTS)
 
 
 @pytest.mark.promise("OPS-2")

@@ -18,7 +18,9 @@ from esair.cli._errors import CANNOT_USE, NOT_DONE, counted, tell, wrong_seconds
 from esair.cli._log import shown_log
 from esair.cli._options import Running
 from esair.exceptions import EsairError
+from esair.loop import check_priority
 from esair.standard import told
+from esair.values import printable
 
 _AS_SAID = Running()
 
@@ -70,15 +72,19 @@ def _drive(
     loop_factory: Callable[[], asyncio.AbstractEventLoop] | None = None,
 ) -> int:
     """Run the robot of a file until it ends, or until a signal."""
-    if wrong_seconds(options.seconds):
-        return CANNOT_USE
+    wrong = wrong_seconds(options.seconds)
     console = Console(stderr=True, highlight=False)
     sys.path.insert(0, str(file.resolve().parent))  # modules imported while it runs
     described = config.load(file, simulated=simulated)
-    try:
-        robot = config.build(described, _with(described, options))
-    except EsairError as error:
-        return _not_started(error)
+    extra, mistakes = _extra(described, options)
+    mistakes += _place(options.placement or [], described)
+    for mistake in mistakes:
+        tell(printable(str(mistake)))
+    if wrong or mistakes:
+        return CANNOT_USE
+    robot = config.build(
+        described, lambda **given: esair.Robot(**{"socket": True, **given, **extra})
+    )
     console.print(_headline(described))
     try:
         with shown_log(verbose=options.verbose, tracebacks=options.traceback):
@@ -96,36 +102,45 @@ def _drive(
     return 0 if all(told.answered for told in robot.stopped) else NOT_DONE
 
 
-def _with(described: config.Description, how: Running) -> Callable[..., esair.Robot]:
-    """Return what makes the robot: with a control socket, and recorded if wanted."""
+def _extra(
+    described: config.Description, how: Running
+) -> tuple[dict[str, Any], list[EsairError]]:
+    """Return the keywords of the robot that options give, and what is wrong with them."""
     extra: dict[str, Any] = {}
+    mistakes: list[EsairError] = []
     if how.record is not None:
         (path,) = how.record or [Path()]
         known = described.robot.get("record") or esair.Recording(path)
         extra["record"] = attrs.evolve(known, path=path)
     if how.page is not None:
-        extra["page"] = _page(described.robot.get("page"), how.page, how.insecure)
+        try:
+            known = described.robot.get("page")
+            extra["page"] = _page(known, how.page, how.insecure)
+        except esair.ConfigError as error:
+            mistakes.append(error)
     if how.realtime is not None:
-        extra["realtime"] = how.realtime[0] if how.realtime else True
+        extra["realtime"] = priority = how.realtime[0] if how.realtime else True
+        try:
+            check_priority("command line", priority)
+        except esair.ConfigError as error:
+            mistakes.append(error)
+    return extra, mistakes
 
-    def make(**given: Any) -> esair.Robot:
-        _place(how.placement or [], [*given["resources"], *given["behaviors"]])
-        return esair.Robot(**{"socket": True, **given, **extra})
 
-    return make
-
-
-def _place(words: list[str], components: list[Any]) -> None:
-    """Let components live where the words say."""
-    named = {each.name: each for each in components}
+def _place(words: list[str], described: config.Description) -> list[EsairError]:
+    """Let components live where the words say; return what is wrong with the words."""
+    mistakes: list[EsairError] = []
+    named: dict[str, Any] = {**described.resources, **described.behaviors}
     for word in words:
         name, _, where = word.partition("=")
         if where not in {"process", "task"}:
             told = f"expected NAME=process or NAME=task, not {word!r:.80}"
-            raise esair.ConfigError("--placement", "", told)
-        if name not in named:
-            raise esair.UnknownNameError("component", name, named)
-        named[name].placement = where
+            mistakes.append(esair.ConfigError("--placement", "", told))
+        elif name not in named:
+            mistakes.append(esair.UnknownNameError("component", name, named))
+        else:
+            named[name].placement = where
+    return mistakes
 
 
 def _page(known: Any, words: list[str], insecure: Any) -> esair.Page:

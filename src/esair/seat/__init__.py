@@ -9,7 +9,6 @@ from esair.seat._acts import (
     Act,
     Field,
     act_of,
-    check_rights,
     table_of,
 )
 from esair.seat._client import Client, NoRobotError, RefusedActError, connect
@@ -36,7 +35,6 @@ __all__ = [
     "Socket",
     "Status",
     "act_of",
-    "check_rights",
     "connect",
     "robots",
     "table_of",

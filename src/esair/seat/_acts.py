@@ -18,7 +18,6 @@ from esair.exceptions import (
     did_you_mean,
     hint_for,
 )
-from esair.messages import OPERATOR, Operator
 from esair.recording import plain
 from esair.seat._leases import SECONDS, answer_of
 from esair.seat._status import settings
@@ -445,18 +444,6 @@ def _release(console: Console, session: Session, lease: int) -> Any:
             console.leases.end(each)
             return "released"
     raise UnknownNameError("lease", str(lease), ())
-
-
-def check_rights(operator: Operator) -> None:
-    """Refuse what allows an act that does not exist.
-
-    Raises:
-        ConfigError: It does; the nearest act is named.
-    """
-    for name in operator.allow:
-        if name != "*" and name not in ACTS:
-            told = f"there is no act {name!r:.80}{hint_for(name, ACTS)}"
-            raise ConfigError(OPERATOR, "allow", told)
 
 
 def words_of(text: object) -> list[str]:

@@ -76,7 +76,7 @@ from esair.supervisors import (
     ResourceDeployment,
     ResourceSupervisor,
 )
-from esair.values import check_name, check_seconds, printable
+from esair.values import check_choice, check_name, check_seconds, printable
 from esair.watchdog import LIMIT
 
 if TYPE_CHECKING:
@@ -228,10 +228,6 @@ class Seating:
             if value is not None and not isinstance(value, kind):
                 told = f"expected an esair.{kind.__name__}, not {value!r:.80}"
                 raise ConfigError(f"robot {name!r}", field, told)
-        if rights is not None:
-            from esair.seat import check_rights
-
-            check_rights(rights)
         self._name = name
         self.socket = socket
         self.page = page
@@ -502,6 +498,11 @@ class Robot:
         self.behaviors: BehaviorSupervisor = BehaviorSupervisor(
             self._behaviors, self._typed
         )
+        check_seconds(self._title, "watchdog_limit", watchdog_limit)
+        check_choice(
+            self._title, "watchdog_policy", watchdog_policy, ("kill", "freeze")
+        )
+        check_choice(self._title, "watchdog_death", watchdog_death, ("stop", "alarm"))
         self._keeper: Keeper | None = None
         if watchdog:
             self._keeper = Keeper(

@@ -18,7 +18,6 @@ from esair.exceptions import ConfigError, describe
 from esair.loop import Job, News, Scheduler, outside, spawn, turn_of
 from esair.plan import UNWATCHED
 from esair.resources import Actuator
-from esair.values import check_choice, check_seconds
 
 if TYPE_CHECKING:
     from esair.supervisors._resource_deployment import ResourceDeployment
@@ -163,14 +162,11 @@ class Keeper:
     ) -> None:
         self._resources = resources
         self._halt = halt
-        owner = f"robot {robot!r}"
-        choices = "stop", "alarm"
-        self._on_death = check_choice(owner, "watchdog_death", on_death, choices)
-        self._limit = limit = check_seconds(owner, "watchdog_limit", limit)
-        check_choice(owner, "watchdog_policy", policy, ("kill", "freeze"))
+        self._on_death = on_death
+        self._limit = limit
         if sys.platform != "linux":
             told = f"expected Linux, not {sys.platform}: leave it out"
-            raise ConfigError(owner, "watchdog", told)
+            raise ConfigError(f"robot {robot!r}", "watchdog", told)
         from esair.watchdog import Watchdog  # only for the robots that have one
 
         self.watchdog: Watchdog = Watchdog(
