@@ -1,18 +1,22 @@
-"""The two drivers of the how-to page, under the contracts that all drivers keep."""
+"""The drivers of the how-to page, under the contracts that all drivers keep."""
 
 import asyncio
 import inspect
+import re
+from pathlib import Path
 from typing import Any
 
 import parts
 import pytest
+from bus_servo import MOVE, POSITION, BusServo
 from hypothesis import given
 from hypothesis import strategies as st
 from parts import Mcp4725, Mcp9808, decode_temperature
 from scale import Scale, Weigh, weights
 
 import esair
-from esair.testing import ActuatorContract, FakeI2c, SensorContract
+from esair import buses, testing
+from esair.testing import ActuatorContract, FakeI2c, FakeSerial, SensorContract
 
 
 class Words:
@@ -62,6 +66,77 @@ class Dac:
     def write(self, register: int, data: bytes) -> None:
         assert len(data) == 1
         self.count = register << 8 | data[0]
+
+
+FRAMING = {
+    "type": "length-crc",
+    "sync": "55 55",
+    "header": 1,
+    "counted": 2,
+    "crc": "sum-8/inverted",
+}
+
+
+class FarServo:
+    """The far end: one servo with the number 3."""
+
+    def __init__(self, line: FakeSerial) -> None:
+        self.count = 500
+        self.has_power = True
+        line.on_frame = self.answer
+
+    def answer(self, message: bytes) -> bytes | None:
+        if message[0] != 3 or not self.has_power:
+            return None
+        if message[1] == POSITION:
+            return message + self.count.to_bytes(2, "little")
+        assert message[1] == MOVE
+        self.count = int.from_bytes(message[2:4], "little")
+        return None
+
+
+class TestBusServo(ActuatorContract):
+    keeps_nothing = "each command says all that it needs"
+
+    def make(self) -> BusServo:
+        line = FakeSerial(framing=FRAMING)
+        self.far = FarServo(line)
+        return BusServo(number=3, bus=line)
+
+    def commands(self) -> list[float]:
+        return [120.0, 0.0, 240.0]
+
+    async def silence(self, device: BusServo) -> None:
+        self.far.has_power = False
+
+    async def speak(self, device: BusServo) -> None:
+        self.far.has_power = True
+
+    async def power_cycle(self, device: BusServo) -> None:
+        self.far.has_power = True  # it keeps nothing that it would lose
+
+
+def test_what_the_page_says_of_a_bus_is_there() -> None:
+    """Each class and each call in the table, with its parameters."""
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "write-a-driver.md"
+    rows = re.findall(r"^\| `(\w+)` \| (.*) \| (.*) \|$", page.read_text(), re.M)
+    assert [name for name, *_ in rows] == [
+        f"{kind}Bus" for kind in ("I2C", "Spi", "Serial", "Can", "Mqtt")
+    ]
+    for name, calls, fake in rows:
+        made = re.match(r"`(Fake\w+)\(", fake)
+        assert made
+        thing = getattr(testing, made[1])
+        assert issubclass(thing, getattr(buses, name))
+        for call, taken in re.findall(
+            r"`(?:with (?:await )?bus\.)?(\w+)\(([^)]*)\)", calls
+        ):
+            known = list(inspect.signature(getattr(thing, call)).parameters)
+            words = re.findall(r"(\w+)=", taken)
+            assert set(words) <= set(known)
+            assert taken.count(",") < len(known)
+        for call in re.findall(r"`fake\.(\w+)\(", fake):
+            assert callable(getattr(thing, call))
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,39 @@
+"""A driver for a servo that shares one half-duplex wire with others."""
+
+from typing import Unpack
+
+import esair
+from esair.buses import SerialBus
+from esair.resources import ActuatorSettings
+
+MOVE, POSITION = 1, 28
+STEP = 0.24  # degrees
+
+
+class BusServo(esair.Actuator[float]):
+    """The angle in degrees. Source: Hiwonder, LX-16A bus servo protocol."""
+
+    bus: SerialBus
+    safe = esair.HOLD  # where it is
+    limits = (0.0, 240.0)
+    command_timeout = 0.5
+
+    def __init__(self, *, number: int, **settings: Unpack[ActuatorSettings]) -> None:
+        super().__init__(**settings)
+        self.number = number
+        self.claim = f"servo {number}"
+
+    async def open(self) -> None:
+        await self.angle()  # who does not answer is not there
+
+    async def write(self, command: float) -> float:
+        angle = await self.angle() if command is esair.HOLD else command
+        data = round(angle / STEP).to_bytes(2, "little") + bytes(2)
+        await self.bus.send(bytes([self.number, MOVE]) + data)
+        return angle
+
+    async def angle(self) -> float:
+        """Ask it for its angle."""
+        request = bytes([self.number, POSITION])
+        answer = await self.bus.ask(request, prefix=request, timeout=0.1)
+        return int.from_bytes(answer[2:4], "little", signed=True) * STEP
