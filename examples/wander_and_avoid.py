@@ -18,12 +18,11 @@ class Twist:
 class Sonar(esair.Sensor[float]):
     """The way ahead in metres; pretends that a wall comes and goes."""
 
-    rate = 20.0
     asked = 0
 
     async def read(self) -> float:
         self.asked += 1
-        return 0.6 + 0.5 * math.cos(self.asked / 15)
+        return 0.6 + 0.5 * math.cos(self.asked / 8)
 
 
 class Wheels(esair.Actuator[Twist]):
@@ -39,21 +38,11 @@ class Wheels(esair.Actuator[Twist]):
         self.last = command
 
 
-class KeepClear(esair.Reaction):
-    """Guard the wheels: nothing drives on towards what is closer than 0.3 m."""
+class Avoid(esair.Reaction):
+    """Turn away from anything closer than 0.4 m; who cannot see holds still."""
 
     sonar = esair.reads(float)
-    wheels = esair.guards(Twist)
-
-    def react(self, sonar: float, wheels: Twist) -> Twist | None:
-        return None if sonar < 0.3 and wheels.linear > 0.0 else wheels
-
-
-class Avoid(esair.Reaction):
-    """Turn away from anything closer than 0.4 m."""
-
-    sonar = esair.reads(float, max_age=0.5)
-    wheels = esair.writes(Twist, priority=10, blind="release")
+    wheels = esair.writes(Twist, priority=10)
 
     def react(self, sonar: float) -> Twist | None:
         return Twist(0.0, 1.2) if sonar < 0.4 else None
@@ -69,9 +58,7 @@ class Wander(esair.Behavior):
             await self.wheels.write(Twist(0.3, 0.0))
 
 
-robot = esair.Robot(
-    resources=[Sonar(), Wheels()], behaviors=[KeepClear(), Avoid(), Wander()]
-)
+robot = esair.Robot(resources=[Sonar(), Wheels()], behaviors=[Avoid(), Wander()])
 
 if __name__ == "__main__":
     esair.run(robot)

@@ -1,8 +1,8 @@
-"""Swap a behavior while the simulated robot drives."""
+"""Swap what the robot does while it drives, in simulation."""
 
 import asyncio
 
-from scout.zigzag import ZigZag
+from scout.zigzag import Avoid, ZigZag
 
 import esair
 
@@ -12,6 +12,7 @@ async def main() -> None:
     async with esair.Robot.from_config("robot.toml", simulated=True) as robot:
         await asyncio.sleep(1.0)
         print(robot.resources.why("wheels"))
+        await robot.behaviors.add(Avoid())
         await robot.behaviors.replace("wander", ZigZag())
         await asyncio.sleep(1.0)
         print(await robot.behaviors.command("list"))

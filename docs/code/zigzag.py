@@ -1,4 +1,4 @@
-"""Another way to wander."""
+"""Another way to wander: in curves, and away from what is close."""
 
 from scout.commands import Twist
 
@@ -14,3 +14,13 @@ class ZigZag(esair.Behavior):
         async for seconds in esair.every(0.05):
             turn = 0.6 if int(seconds) % 2 == 0 else -0.6
             await self.wheels.write(Twist(0.3, turn))
+
+
+class Avoid(esair.Reaction):
+    """Turn away from what is close; else the others may drive."""
+
+    sonar = esair.reads(float)
+    wheels = esair.writes(Twist, priority=10)
+
+    def react(self, sonar: float) -> Twist | None:
+        return Twist(0.0, 1.2) if sonar < 0.5 else None

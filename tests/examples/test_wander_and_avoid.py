@@ -1,6 +1,6 @@
 import asyncio
 
-from wander_and_avoid import Avoid, KeepClear, Twist, Wander
+from wander_and_avoid import Avoid, Twist, Wander
 
 import esair
 
@@ -9,11 +9,8 @@ async def test_who_cannot_see_holds_still(fake_sensor, fake_actuator):
     """The sonar is pulled out: the wheels stop at once, whatever wander wants."""
     sonar = fake_sensor("sonar", 2.0)
     wheels = fake_actuator("wheels", safe=Twist(0, 0))
-    robot = esair.Robot(
-        resources=[sonar, wheels], behaviors=[KeepClear(), Avoid(), Wander()]
-    )
 
-    async with robot:
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Avoid(), Wander()]):
         await wheels.until(Twist(0.3, 0.0), timeout=1.0)
         sonar.unplug()
         await wheels.until(Twist(0, 0), timeout=0.01)

@@ -49,7 +49,6 @@ def new(
         Text("  esair sim robot.toml     # it drives, in simulation; Ctrl-C stops it")
     )
     console.print(Text("  python -m pytest         # its tests"))
-    console.print(Text("  esair check robot.toml   # what is still wrong with it"))
     return 0
 
 
