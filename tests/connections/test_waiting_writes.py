@@ -72,7 +72,7 @@ async def test_one_that_is_cancelled_in_its_turn_leaves_it_to_the_next(
 
 
 @pytest.mark.real_clock
-@pytest.mark.parametrize("way", ["safe", "halted", "cancelled"])
+@pytest.mark.parametrize("way", ["safe", "halted", "cancelled", "expired"])
 async def test_one_that_waits_in_a_thread_is_overtaken_by_safe(
     way: str, user_of: Any
 ) -> None:
@@ -109,14 +109,15 @@ async def test_one_that_waits_in_a_thread_is_overtaken_by_safe(
     async with robot:
         reading = asyncio.create_task(user.eye.read())
         await asyncio.sleep(0.05)
-        writing = asyncio.create_task(user.motor.write(1.0))
-        await asyncio.sleep(0.05)
+        soon = asyncio.get_running_loop().time() + 0.05 if way == "expired" else None
+        writing = asyncio.create_task(user.motor.write(1.0, expires=soon))
+        await asyncio.sleep(0.06)
         if way == "cancelled":
             writing.cancel()
             await asyncio.wait({writing})
         elif way == "safe":
             robot.actuators.channels["motor"].make_safe()
-        else:
+        elif way == "halted":
             robot.halt("enough")
             robot.resume()
         go.set()
@@ -126,8 +127,9 @@ async def test_one_that_waits_in_a_thread_is_overtaken_by_safe(
         else:
             refused = await writing
             why = {
-                "safe": "made safe before the turn",
+                "safe": "made safe, or this expired, before",
                 "halted": "before the robot was",
+                "expired": "made safe, or this expired, before",
             }
             assert not refused
             assert why[way] in refused.rule
@@ -159,3 +161,21 @@ async def test_a_command_that_cannot_be_copied_is_told_as_it_is(user_of: Any) ->
         await soon()
     (asked,) = [each for each in told if each.kind is Kind.COMMAND]
     assert asked.value is command
+
+
+async def test_one_that_has_expired_leaves_no_more(user_of: Any) -> None:
+    """Neither after a wait, nor at once: the moment in which it would leave counts."""
+    motor, user = Motor(), user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]):
+        now = asyncio.get_running_loop().time()
+        writes = [
+            asyncio.create_task(user.motor.write(value, expires=now + seconds))
+            for value, seconds in ((1.0, 0.5), (2.0, 0.5), (3.0, 1.5))
+        ]
+        first, second, third = await asyncio.gather(*writes)
+        assert first
+        assert third
+        assert not second
+        assert "expired" in second.rule
+        assert not await user.motor.write(4.0, expires=now)
+        assert motor.commands == [0.0, 1.0, 3.0]

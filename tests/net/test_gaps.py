@@ -266,3 +266,33 @@ async def test_each_request_has_its_one_outcome() -> None:
         with pytest.raises(esair.BehaviorFailedError, match="bay 0"):
             await hand.ask("far_docking", Dock(0))
         assert pair.docking.begun == [1, -1, 0]
+
+
+class Mate(esair.Behavior):
+    """Drives at home, when it is told to."""
+
+    wheels = esair.writes(Twist)
+
+    async def run(self) -> None:
+        await asyncio.get_running_loop().create_future()
+
+
+@pytest.mark.promise("NET-4")
+@pytest.mark.parametrize("slow", [0.05, 0.4])
+async def test_a_command_is_judged_when_it_leaves(slow: float) -> None:
+    """One that was fresh, and has waited behind a slow call of another, is too old."""
+    pair, hand, mate = Pair(), Hand(), Mate()
+    pair.wheels.deadline = 1.0
+    async with pair.base(mate) as base, pair.rover(hand):
+        await asyncio.sleep(0.3)
+        sent = listen(base)
+        pair.wheels.slow(slow)
+        first = asyncio.ensure_future(mate.wheels.write(Twist(0.1, 0.0)))
+        await asyncio.sleep(0.01)
+        second = asyncio.ensure_future(hand.wheels.write(Twist(0.2, 0.0)))
+        await asyncio.gather(first, second, return_exceptions=True)
+        await asyncio.sleep(0.3)
+
+        told = [command for _, command in sent]
+        assert (Twist(0.2, 0.0) in told) is (slow < TIMEOUT), told
+        assert pair.to_rover.stats.refused == (slow > TIMEOUT)

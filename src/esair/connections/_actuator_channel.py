@@ -314,12 +314,14 @@ class ActuatorChannel(Device):
         ready: Any = None,
         now: float | None = None,
         again: bool = False,
+        expires: float | None = None,
     ) -> Sent:
         """Check everything and send a command, without a wait if the driver has none.
 
         What is ``ready`` is the command as `checked` has returned it in this turn,
         ``now`` is when the turn has begun: all that decide in it share one number.
-        ``again``: it has waited for its turn, and the journal has heard of it.
+        ``again``: it has waited for its turn, and the journal has heard of it. After
+        the moment when it ``expires`` it does not leave any more, however it has waited.
         """
         if now is None:
             time = self.time  # hot
@@ -337,6 +339,9 @@ class ActuatorChannel(Device):
                 return self._kept_away(registration, command, refused, now, again)
         if heard.command and not again:
             self.wanted(registration, command)
+        if expires is not None and now > expires:
+            told = f"it expired {now - expires:.3g} s ago"
+            return self._refuse(registration, self._too_late(registration, told))
         asked = command
         if ready is None:
             checked = self.checked  # hot
@@ -345,7 +350,7 @@ class ActuatorChannel(Device):
             command = ready
         wire = self.wire
         if wire.lane is not None or self.safe.state is not IDLE:
-            return self._when_idle(registration, command, hold)
+            return self._when_idle(registration, command, hold, expires)
         if wire.slews or wire.watch is not None:
             command = self._bounded(command, now)
         # `Hold` takes it here, in place.  # hot
@@ -361,7 +366,7 @@ class ActuatorChannel(Device):
                 return self._refuse(registration, stop.refusal())
         if not self._dead_man.armed:
             self._dead_man.arm()
-        guard = self.gate.ticket(registration) if wire.blocks else None
+        guard = self.gate.ticket(registration, expires) if wire.blocks else None
         try:
             sent = wire.send(command, registration.behavior, self._ended, guard)
         except EsairError as error:
@@ -501,7 +506,7 @@ class ActuatorChannel(Device):
         if stops is not None:
             return stops.refusal()
         return self._too_late(
-            right, "it was made safe before the turn of this command came"
+            right, "it was made safe, or this expired, before its turn came"
         )
 
     def _too_late(self, right: Registration, told: str) -> Refused:
@@ -569,9 +574,14 @@ class ActuatorChannel(Device):
     # Writes that wait until the device is free.
 
     async def _when_idle(
-        self, registration: Registration, command: Any, hold: float | None
+        self,
+        registration: Registration,
+        command: Any,
+        hold: float | None,
+        expires: float | None = None,
     ) -> Written[Any] | Refused:
-        sent = await self._waiting.turn(registration, command, hold, self.gate.halts)
+        halts = self.gate.halts
+        sent = await self._waiting.turn(registration, command, hold, halts, expires)
         return sent if isinstance(sent, Answer) else await sent
 
     def _look(self) -> None:
@@ -596,7 +606,8 @@ class ActuatorChannel(Device):
                 continue
             try:
                 right, command, hold = write.registration, write.command, write.hold
-                write.end(self.begin(right, command, hold, again=True))
+                until = write.expires
+                write.end(self.begin(right, command, hold, again=True, expires=until))
             except Exception as error:
                 write.end(error)
 

@@ -154,13 +154,16 @@ class Gate:
         self.fence: int = 0
         self.since: float = 0.0
 
-    def ticket(self, right: Registration | None) -> Callable[[], bool]:
+    def ticket(
+        self, right: Registration | None, expires: float | None = None
+    ) -> Callable[[], bool]:
         """Return what a thread asks just before it calls the driver."""
         halts, fence = self.halts, self.fence
         return lambda: (
             halts == self.halts
             and fence == self.fence
             and (right is None or right.usable)
+            and (expires is None or self.device.time() <= expires)
         )
 
     @property

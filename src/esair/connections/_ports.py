@@ -334,7 +334,11 @@ class ActuatorPort(Port[T]):
     _channel: ActuatorChannel
 
     async def write(
-        self, command: T, *, hold: float | None = None
+        self,
+        command: T,
+        *,
+        hold: float | None = None,
+        expires: float | None = None,
     ) -> Written[T] | Refused:
         """Send a command, and hold the actuator for a while.
 
@@ -343,6 +347,8 @@ class ActuatorPort(Port[T]):
             hold: For how long nobody of the same or a lower priority gets through,
                 in seconds; the actuator's command timeout unless given. Each write
                 renews it.
+            expires: A moment on the loop's clock (seconds): a command that still waits
+                for its turn then is refused, and never sent.
 
         Returns:
             What was really sent; or a refusal, false in a condition, that says who
@@ -368,7 +374,7 @@ class ActuatorPort(Port[T]):
         owner = current_owner()
         if owner is not None and owner.over:
             raise run_ended(self.registration.behavior, self.resource)
-        outcome = self._channel.begin(self.registration, command, hold)
+        outcome = self._channel.begin(self.registration, command, hold, expires=expires)
         if type(outcome) is Written or isinstance(outcome, Answer):
             return outcome
         return await outcome

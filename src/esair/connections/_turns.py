@@ -160,6 +160,7 @@ class WaitingWrite:
     command: Any
     hold: float | None
     halts: int
+    expires: float | None
     turn: asyncio.Future[Sent]
 
     def end(self, end: Sent | Exception) -> None:
@@ -187,14 +188,19 @@ class WaitingWrites:
         return iter(tuple(self._writes))
 
     async def turn(
-        self, registration: Registration, command: Any, hold: float | None, halts: int
+        self,
+        registration: Registration,
+        command: Any,
+        hold: float | None,
+        halts: int,
+        expires: float | None,
     ) -> Sent:
         """Wait until somebody has said what becomes of a write."""
         if len(self._writes) >= WAITING_LIMIT:
             self.turned_away += 1
             raise BusyError(self._name, "number of waiting writes", WAITING_LIMIT)
         turn: asyncio.Future[Sent] = self._loop.create_future()
-        write = WaitingWrite(registration, command, hold, halts, turn)
+        write = WaitingWrite(registration, command, hold, halts, expires, turn)
         self._writes.append(write)
         try:
             return await turn

@@ -185,33 +185,28 @@ class Sharing(Behavior):
                 port.release()
                 self._answer(number, "written", None)
                 continue
-            age, limit = now() - since, port.command_timeout
-            if age > limit:
-                self.bus.stats.refused += 1
-                told = "it has heard no beat" if age == math.inf else f"{age:.3g} s old"
-                self._refuse(
-                    number,
-                    f"the newest beat that {self.name} had heard was {told}: "
-                    f"command_timeout is {limit:g} s",
-                )
-                continue
+            # Judged when it leaves: it may wait behind a slow call of another writer.
+            expires = since + port.command_timeout
             try:
-                written = await port.write(rest[0])
+                written = await port.write(rest[0], expires=expires)
             except _ABSENT as error:
                 self._answer(number, "lost", describe(error))
             except EsairError as error:
                 self._answer(number, "failed", describe(error))
             else:
-                self._tell(number, written)
+                self._tell(number, written, expires)
 
-    def _tell(self, number: int, written: Any) -> None:
+    def _tell(self, number: int, written: Any, expires: float) -> None:
         if not isinstance(written, Refused):
             self._answer(number, "written", written.command)
             return
-        moment, until = now(), written.until
+        moment, until, rule = now(), written.until, written.rule
+        if moment > expires:
+            self.bus.stats.refused += 1
+            rule = f"the newest beat that {self.name} had heard was too old: {rule}"
         left = None if until is None else float(until - moment)
         age = float(max(0.0, moment - written.since))
-        told = (written.holder, written.priority, written.rule, age, left)
+        told = (written.holder, written.priority, rule, age, left)
         self._answer(number, "refused", told)
 
     # Sensors.
