@@ -6,12 +6,11 @@ import asyncio
 import contextlib
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 
 from esair.buses import Bus, I2CBus, Wire
-from esair.drivers.servo import ServoBus
 from esair.exceptions import DeviceLostError
 from esair.testing import FakeSerial
 
@@ -43,23 +42,12 @@ def slow() -> Iterator[Slow]:
     found.go.set()
 
 
-def i2c(slow: Slow) -> Bus:
-    return I2CBus(name="front", wire=slow)
-
-
-def servos(slow: Slow) -> Bus:
-    return ServoBus(name="front", opener=slow.open)  # type: ignore[arg-type, return-value]
-
-
 @pytest.mark.real_clock
 @pytest.mark.fault("X09", "D21")
-@pytest.mark.parametrize("make", [i2c, servos])
 @pytest.mark.parametrize("finished", [False, True])
-async def test_what_opens_after_a_close_is_closed(
-    slow: Slow, make: Callable[[Slow], Bus], finished: bool
-) -> None:
+async def test_what_opens_after_a_close_is_closed(slow: Slow, finished: bool) -> None:
     """Also what is open, if the loop has not seen it yet: no descriptor is left."""
-    bus = make(slow)
+    bus = I2CBus(name="front", wire=slow)
     opening = asyncio.ensure_future(bus.open())
     assert await asyncio.to_thread(slow.begun.wait, 10)
     if finished:
@@ -77,13 +65,12 @@ async def test_what_opens_after_a_close_is_closed(
 
 @pytest.mark.real_clock
 @pytest.mark.fault("D21")
-@pytest.mark.parametrize("make", [i2c, servos])
 async def test_what_opens_too_late_is_closed(
-    slow: Slow, make: Callable[[Slow], Bus], monkeypatch: pytest.MonkeyPatch
+    slow: Slow, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nobody waits for it any more; the next opening gets another."""
     monkeypatch.setattr("esair.buses._link_bus.OPEN_TIMEOUT", 0.05)
-    bus = make(slow)
+    bus = I2CBus(name="front", wire=slow)
 
     with pytest.raises(DeviceLostError, match=r"0\.05 s"):
         await bus.open()
@@ -96,13 +83,10 @@ async def test_what_opens_too_late_is_closed(
 
 @pytest.mark.real_clock
 @pytest.mark.fault("D18", "D21")
-@pytest.mark.parametrize("make", [i2c, servos])
-async def test_what_is_closed_behind_too_many_calls_is_closed(
-    slow: Slow, make: Callable[[Slow], Bus]
-) -> None:
+async def test_what_is_closed_behind_too_many_calls_is_closed(slow: Slow) -> None:
     """A close is not one more call that could be refused."""
     slow.go.set()
-    bus = make(slow)
+    bus = I2CBus(name="front", wire=slow)
     await bus.open()
     stuck = threading.Event()
     bus.executor.limit = 1

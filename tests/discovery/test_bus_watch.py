@@ -294,7 +294,7 @@ class Motor(esair.Actuator[int]):
 
 @pytest.mark.promise("BUS-4")
 async def test_a_servo_line_that_is_pulled_is_noticed_without_a_request(pulled) -> None:
-    """Its thread waits for answers only, so the name of its port is watched."""
+    """It is a serial line like any other."""
     pulled.plug()
     bus = ServoBus(name="arm", port=str(pulled.link))
     lost: list[BaseException] = []

@@ -10,11 +10,10 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-pytest.importorskip("scservo_sdk", reason="the extra 'feetech' is not installed")
-
 from tests.drivers.parts import OnServos
+from tests.drivers.test_servo import Captured
 
+from esair.buses import Wire
 from esair.drivers.servo import Goal, Mode, Servo, ServoPosition
 from esair.drivers.servo._tables import Entry
 from esair.drivers.servo.fake import SYNC_READ, SYNC_WRITE
@@ -32,7 +31,7 @@ RELEASE = Goal(mode=Mode.RELEASE)
 class OnLine(OnServos):
     def make_bus(self) -> FeetechBus:
         self.fakes = FakeFeetechServos([1, 2])
-        return FeetechBus(name="arm", opener=self.fakes.open)
+        return FeetechBus(name="arm", wire=self.fakes)
 
 
 class TestFeetechBus(OnLine, BusContract):
@@ -85,7 +84,7 @@ class TestFeetechCurrent(OnLine, ActuatorContract):
 
     def make(self) -> Any:
         self.fakes = FakeFeetechServos([1, 2])
-        bus = FeetechBus(name="arm", series="hls", opener=self.fakes.open)
+        bus = FeetechBus(name="arm", series="hls", wire=self.fakes)
         return ServoCurrent(id=2, bus=bus)
 
     def commands(self) -> list[Any]:
@@ -99,7 +98,7 @@ class TestFeetechCurrent(OnLine, ActuatorContract):
 async def test_a_current_is_in_its_units_with_a_bit_for_its_sign() -> None:
     """6.5 mA each, in mode 2; STS has no such mode, and says so at once."""
     fakes = FakeFeetechServos([1])
-    bus = FeetechBus(name="arm", series="hls", opener=fakes.open)
+    bus = FeetechBus(name="arm", series="hls", wire=fakes)
     grip = ServoCurrent(name="grip", bus=bus)
     await bus.open()
     await grip.open()
@@ -110,16 +109,16 @@ async def test_a_current_is_in_its_units_with_a_bit_for_its_sign() -> None:
     await bus.close()
 
     with pytest.raises(ConfigError, match="no current mode"):
-        ServoCurrent(bus=FeetechBus(name="arm", opener=fakes.open))
+        ServoCurrent(bus=FeetechBus(name="arm", wire=fakes))
     with pytest.raises(ConfigError, match="series: expected 'sts' or 'hls'"):
-        FeetechBus(name="arm", series="scs", opener=fakes.open)  # type: ignore[arg-type]
+        FeetechBus(name="arm", series="scs", wire=fakes)  # type: ignore[arg-type]
 
 
 async def test_no_limit_of_the_speed_is_another_number_for_each_series() -> None:
     """0 would stop those of HLS."""
     for series, units in (("sts", 0), ("hls", 0x7FFF)):
         fakes = FakeFeetechServos([1])
-        bus = FeetechBus(name="arm", series=series, opener=fakes.open)  # type: ignore[arg-type]
+        bus = FeetechBus(name="arm", series=series, wire=fakes)  # type: ignore[arg-type]
         servo = Servo(safe=RELEASE, bus=bus)
         await bus.open()
         await servo.apply(speed=0.0)
@@ -130,7 +129,7 @@ async def test_no_limit_of_the_speed_is_another_number_for_each_series() -> None
 async def test_goals_and_places_are_those_of_its_table() -> None:
     """4096 steps a turn, two bytes, the middle at 2048; several as one request."""
     fakes = FakeFeetechServos([1, 2])
-    bus = FeetechBus(name="arm", opener=fakes.open)
+    bus = FeetechBus(name="arm", wire=fakes)
     servos = [Servo(name=f"s{n}", id=n, safe=RELEASE, bus=bus) for n in (1, 2)]
     places = [ServoPosition(name=f"p{n}", id=n, bus=bus) for n in (1, 2)]
     await bus.open()
@@ -150,7 +149,7 @@ async def test_goals_and_places_are_those_of_its_table() -> None:
 async def test_it_turns_both_ways_and_its_mode_is_unlocked() -> None:
     """Backwards is a sign, not a complement; the mode is locked again."""
     fakes = FakeFeetechServos([1])
-    bus = FeetechBus(name="arm", opener=fakes.open)
+    bus = FeetechBus(name="arm", wire=fakes)
     wheel = ServoVelocity(id=1, bus=bus)
     await bus.open()
     await wheel.open()
@@ -167,12 +166,20 @@ async def test_it_turns_both_ways_and_its_mode_is_unlocked() -> None:
 async def test_what_is_wrong_with_it_is_told() -> None:
     """Each answer says it, by bits."""
     fakes = FakeFeetechServos([1])
-    bus = FeetechBus(name="arm", opener=fakes.open)
+    bus = FeetechBus(name="arm", wire=fakes)
     await bus.open()
     fakes.feetech[1].faults = 0x24
     with pytest.raises(DeviceFaultError, match="overheating, overload"):
         await bus.read(1, 56, 2)
     await bus.close()
+
+
+def test_the_packets_are_those_of_the_makers_package() -> None:
+    """Id, length, instruction, parameters, the inverted sum."""
+    sdk = pytest.importorskip("scservo_sdk", reason="its SDK is not installed")
+    port = Captured()
+    sdk.PacketHandler(0).writeTxOnly(port, 7, 42, 2, [1, 8])
+    assert port.written == FeetechBus(name="arm", wire=Wire()).packet(7, 42, 0x801, 2)
 
 
 @given(st.integers(-32767, 32767), st.booleans(), st.sampled_from([2, 4]))

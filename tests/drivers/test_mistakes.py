@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from esair.buses import Wire
 from esair.drivers.ads1115 import Ads1115
 from esair.drivers.camera import Camera
 from esair.drivers.canopen.drive import Drive, DriveState
@@ -27,7 +28,7 @@ from esair.testing import FakeSerial
 LINES, RAW = FakeSerial("lines"), FakeSerial("raw", framing="raw")
 NMEA = FakeSerial("gps", framing="nmea")
 RTU = FakeSerial("plc", framing="modbus-rtu")
-ARM = ServoBus(name="arm", opener=lambda: pytest.fail("it was opened"))
+ARM = ServoBus(name="arm", wire=Wire())
 GOES: dict[type, dict[str, Any]] = {
     DigitalInput: {"chip": "fake", "line": 3},
     DigitalOutput: {"chip": "fake", "line": 3},
@@ -114,7 +115,7 @@ GOES: dict[type, dict[str, Any]] = {
         *((ServoPosition, {"id": n}, "id: expected 0 to 252") for n in (-1, 253, "1")),
         (ServoPosition, {"id": True}, "id: expected 0 to 252"),
         (Servo, {"bus": None}, "bus: expected a ServoBus"),
-        (ServoBus, {"name": "arm", "port": "loop://"}, "port: expected a device file"),
+        (ServoBus, {"name": "arm"}, "port: expected the path of a device file"),
     ],
 )
 def test_a_mistake_names_the_field_and_what_was_expected(

@@ -17,10 +17,10 @@ from collections.abc import AsyncIterator, Iterator
 from typing import Any
 
 import pytest
+from dynamixel_sdk import Protocol2PacketHandler  # type: ignore[import-untyped]
 from tests.drivers.parts import OnServos
 
 import esair
-from esair.buses.serial import _port as _serial_port
 from esair.drivers.servo import (
     CENTER,
     GOAL_CURRENT,
@@ -39,6 +39,7 @@ from esair.drivers.servo import (
     to_angle,
     to_steps,
 )
+from esair.drivers.servo._packets import Packets
 from esair.drivers.servo.fake import (
     PING,
     SYNC_READ,
@@ -53,7 +54,6 @@ from esair.exceptions import (
     DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
-    NoTurnError,
 )
 from esair.testing import ActuatorContract, BusContract, SensorContract
 
@@ -66,7 +66,7 @@ class Memory(OnServos):
 
     def make_bus(self) -> ServoBus:
         self.fakes = FakeServos([1, 2])
-        return ServoBus(name="arm", opener=self.fakes.open)
+        return ServoBus(name="arm", wire=self.fakes)
 
 
 class TestServoBus(Memory, BusContract):
@@ -127,7 +127,7 @@ def fakes() -> FakeServos:
 
 @pytest.fixture
 async def bus(fakes: FakeServos) -> AsyncIterator[ServoBus]:
-    made = ServoBus(name="arm", opener=fakes.open)
+    made = ServoBus(name="arm", wire=fakes)
     yield made
     await made.close()
 
@@ -140,7 +140,7 @@ SIX = range(1, 7)
 
 async def six(fakes: FakeServos) -> tuple[ServoBus, list[Servo], list[ServoPosition]]:
     """Six servos with torque on one line, each with its position."""
-    bus = ServoBus(name="arm", opener=fakes.open)
+    bus = ServoBus(name="arm", wire=fakes)
     servos = [Servo(name=f"s{n}", id=n, safe=RELEASE, bus=bus) for n in SIX]
     places = [ServoPosition(name=f"p{n}", id=n, bus=bus) for n in SIX]
     await bus.open()
@@ -180,7 +180,7 @@ async def test_six_servos_at_50_hz_within_the_latency_of_the_adapter(
     """Asked and told in a rhythm, or told what follows from where they are."""
     fakes = FakeServos(SIX)
     fakes.delay = latency
-    bus = ServoBus(name="arm", opener=fakes.open)
+    bus = ServoBus(name="arm", wire=fakes)
     names = [f"s{n}" for n in SIX]
     ports: dict[str, Any] = {name: esair.writes(Goal) for name in names}
     ports |= {f"p{n}": esair.reads(float) for n in SIX}
@@ -209,7 +209,7 @@ async def test_six_servos_at_50_hz_within_the_latency_of_the_adapter(
 async def test_a_silent_servo_costs_the_others_nothing_but_time() -> None:
     """Those behind it on the wire are asked alone; it is told by itself."""
     fakes = FakeServos(range(1, 4))
-    bus = ServoBus(name="arm", opener=fakes.open)
+    bus = ServoBus(name="arm", wire=fakes)
     await bus.open()
     fakes.servos.pop(2)
     found = await asyncio.gather(
@@ -224,7 +224,7 @@ async def test_a_silent_servo_costs_the_others_nothing_but_time() -> None:
 async def test_a_goal_that_is_given_up_in_the_line_is_not_sent() -> None:
     """Of one servo the newest counts."""
     fakes = FakeServos([1, 2])
-    bus = ServoBus(name="arm", opener=fakes.open)
+    bus = ServoBus(name="arm", wire=fakes)
     await bus.open()
     writes = [
         asyncio.ensure_future(bus.write(n, GOAL_POSITION, 4, value))
@@ -242,7 +242,7 @@ async def test_a_goal_that_is_given_up_in_the_line_is_not_sent() -> None:
 async def test_a_servo_turns_and_pushes_in_its_mode() -> None:
     """The mode is set without torque, kept over power, and at rest when it is safe."""
     fakes = FakeServos([1, 2])
-    bus = ServoBus(name="arm", opener=fakes.open)
+    bus = ServoBus(name="arm", wire=fakes)
     wheel = ServoVelocity(name="wheel", id=1, bus=bus)
     grip = ServoCurrent(name="grip", id=2, bus=bus)
     await bus.open()
@@ -285,6 +285,34 @@ def test_the_packets_are_those_of_the_document() -> None:
     )
 
 
+class Captured:
+    """A port of a maker's package that keeps what is written."""
+
+    is_using = False
+
+    def writePort(self, data: list[int]) -> int:  # noqa: N802 - the package's
+        self.written = bytes(data)
+        return len(data)
+
+    def clearPort(self) -> None:  # noqa: N802
+        """There is nothing in it."""
+
+
+def test_the_packets_are_those_of_the_makers_package() -> None:
+    """Told to several at once."""
+    port, ids = Captured(), [3, 1, 2, 3, 4, 4, 1, 2, 3, 4]
+    Protocol2PacketHandler().syncWriteTxOnly(port, 116, 4, ids, len(ids))
+    assert port.written == packet(0xFE, SYNC_WRITE, bytes([116, 0, 4, 0, *ids]))
+
+
+def test_a_header_within_a_packet_is_stuffed() -> None:
+    """Its length says so; the maker's package sends it as it is, and no servo obeys."""
+    value = b"\xff\xff\xfd\0"
+    told = packet(1, WRITE, b"\x74\0" + value)
+    assert told[5:7] + told[10:15] == b"\x0a\0\xff\xff\xfd\xfd\0"
+    assert Packets().feed(told) == [bytes([1, WRITE, 0x74, 0]) + value]
+
+
 def test_bits_of_an_error_have_names() -> None:
     """What the servo says about itself is said in words."""
     assert hardware_errors(0x24) == "overheating, overload"
@@ -306,7 +334,7 @@ async def test_a_table_is_read_and_written(bus: ServoBus, fakes: FakeServos) -> 
 
     assert fakes.servos[1].get(GOAL_POSITION) == -5
     assert fakes.servos[2].get(GOAL_POSITION) == CENTER
-    assert bus.stats.sent == bus.stats.received == 6
+    assert len(fakes.written) == 6
 
 
 @pytest.mark.virtual_clock
@@ -524,7 +552,7 @@ async def test_a_line_that_takes_no_bytes(terminal: Terminal) -> None:
     await bus.open()
     termios.tcflow(terminal.slave, termios.TCOOFF)
 
-    with pytest.raises(DriverStuckError, match=r"ping did not return in 0\.05 s"):
+    with pytest.raises(DriverStuckError, match=r"write did not return in 0\.05 s"):
         await bus.ping(1)
 
     termios.tcflow(terminal.slave, termios.TCOON)
@@ -556,86 +584,6 @@ async def test_an_adapter_is_told_to_keep_nothing_back(
     await bus.close()
 
     assert flags == 0x1000 | 0x2000, "ASYNC_LOW_LATENCY, and what was there"
-
-
-@pytest.mark.real_clock
-@pytest.mark.fault("D21")
-@pytest.mark.promise("BUS-1")
-async def test_a_call_that_never_returns_costs_only_its_caller(
-    bus: ServoBus, fakes: FakeServos, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It has its deadline; the loop turns, the close is quick."""
-    release = threading.Event()
-    await bus.open()
-    monkeypatch.setattr(fakes, "heard", lambda _data: release.wait(30) and b"")
-    begin = asyncio.get_running_loop().time()
-
-    with pytest.raises(DriverStuckError, match="'arm'"):
-        await bus.ping(1)
-    await bus.close()
-
-    assert asyncio.get_running_loop().time() - begin < 5.0
-    release.set()
-
-
-@pytest.mark.real_clock
-@pytest.mark.fault("D22")
-async def test_a_request_that_nobody_waits_for_any_more_is_not_made(
-    fakes: FakeServos, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Behind a slow one: whoever was told that it failed finds nothing has moved."""
-    go = threading.Event()
-    really = fakes.heard
-    monkeypatch.setattr(fakes, "heard", lambda data: go.wait(30) and really(data))
-    bus = ServoBus(name="arm", opener=fakes.open, timeout=0.05)
-    await bus.open()
-    results = await asyncio.gather(
-        bus.ping(1),
-        bus.write(2, GOAL_POSITION, 4, 1234),
-        return_exceptions=True,
-    )
-    assert [type(each) for each in results] == [DriverStuckError, NoTurnError]
-
-    go.set()
-    assert await bus.executor.join(10)
-
-    assert [instruction for _, instruction, _ in fakes.written] == [PING]
-    await bus.close()
-
-
-@pytest.mark.real_clock
-@pytest.mark.fault("X09")
-async def test_an_opening_that_a_close_has_ended_keeps_no_port(
-    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Another bus gets the port, which has one user."""
-    begun, go, shut = threading.Event(), threading.Event(), threading.Event()
-    really, shut_really = _serial_port.open_port, _serial_port.Port.shut
-
-    def open_port(*args: Any) -> _serial_port.Port:
-        begun.set()
-        go.wait(30)
-        return really(*args)
-
-    def shut_port(port: _serial_port.Port) -> None:
-        shut_really(port)
-        shut.set()
-
-    monkeypatch.setattr("esair.drivers.servo._bus.open_port", open_port)
-    monkeypatch.setattr(_serial_port.Port, "shut", shut_port)
-    bus = ServoBus(name="arm", port=terminal.path)
-    opening = asyncio.ensure_future(bus.open())
-    assert await asyncio.to_thread(begun.wait, 10)
-
-    await bus.close()
-    go.set()
-
-    with pytest.raises(DeviceLostError):
-        await opening
-    assert await asyncio.to_thread(shut.wait, 10)
-    other = ServoBus(name="leg", port=terminal.path)
-    await other.open()
-    await other.close()
 
 
 def test_its_limits_are_the_angles_that_it_can_reach(bus: ServoBus) -> None:

@@ -25,7 +25,7 @@ def scene(column: int | None) -> np.ndarray:
 async def test_it_turns_to_the_ball_and_stands_without_one() -> None:
     """To the left it is positive, as angles are."""
     far, servos = FakeCamera([scene(None)]), FakeServos([1])
-    bus = ServoBus(name="line", opener=servos.open)
+    bus = ServoBus(name="line", wire=servos)
     turns = {}
     async with follow_color.make_robot(Camera(name="eye", opener=far.open), bus):
         for where, column in [("left", 8), ("none", None), ("right", 56)]:

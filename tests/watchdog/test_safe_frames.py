@@ -102,7 +102,7 @@ async def test_a_channel_of_a_pca9685() -> None:
 async def test_a_servo_that_lets_go() -> None:
     """The packet that takes its torque, without a wait for an answer."""
     fakes = FakeServos([1])
-    bus = ServoBus(name="arm", opener=fakes.open)
+    bus = ServoBus(name="arm", wire=fakes)
     servo = Servo(bus=bus, safe=Goal(mode=Mode.RELEASE))
     fakes.heard(servo.safe_frames().frames[0])  # type: ignore[union-attr]
     packet = fakes.written[-1]
@@ -114,7 +114,7 @@ async def test_a_servo_that_lets_go() -> None:
 
 def test_a_servo_that_has_to_hold_is_not_watched() -> None:
     """Its place must be asked first."""
-    bus = ServoBus(name="arm", opener=FakeServos([1]).open)
+    bus = ServoBus(name="arm", wire=FakeServos([1]))
     assert Servo(bus=bus, safe=Goal(mode=Mode.HOLD)).safe_frames() is None
 
 

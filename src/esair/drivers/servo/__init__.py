@@ -1,9 +1,8 @@
 """Dynamixel servos of the X series, on their own half-duplex serial line.
 
 Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, and the control table of the
-XL430-W250 (the same for all of the X series as far as it is used here). The packets are
-made and checked by the maker's ``dynamixel-sdk``, whose calls block: they run on the
-bus's thread, one after the other, each with a deadline.
+XL430-W250 (the same for all of the X series as far as it is used here); checksums and what
+a servo complains of are those of the maker's ``dynamixel-sdk``.
 
 The bus is one of its own kind, because master and servos take turns on one wire::
 
@@ -25,7 +24,6 @@ from esair.loading import of_extra
 
 with of_extra("servo"):
     from esair.drivers.servo._bus import HARDWARE_ERROR, ServoBus, hardware_errors
-    from esair.drivers.servo._line import ServoLink
     from esair.drivers.servo._servo import (
         CENTER,
         GOAL_CURRENT,
@@ -57,7 +55,6 @@ __all__ = [
     "Mode",
     "Servo",
     "ServoBus",
-    "ServoLink",
     "ServoPosition",
     "hardware_errors",
     "to_angle",

@@ -3,31 +3,30 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import enum
 import errno
-import functools
 import math
-import os
-from collections.abc import Awaitable, Callable, Hashable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, Final
 
-from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, PacketHandler  # type: ignore[import-untyped]
+from dynamixel_sdk import PacketHandler  # type: ignore[import-untyped]
 
-from esair.buses import Exchanges, LinkBus
-from esair.buses.serial import SerialPlace, open_port
-from esair.drivers.servo._line import ANSWER_TIMEOUT, PortLink, SdkPort, ServoLink
-from esair.drivers.servo._tables import DYNAMIXEL_X, Snapshot
-from esair.exceptions import (
-    ConfigError,
-    DeviceFaultError,
-    DeviceLostError,
-    DriverStuckError,
-    EsairError,
-    describe,
+from esair.buses import Wire
+from esair.buses.serial import SerialBus, SerialLink
+from esair.drivers.servo._packets import (
+    PING,
+    READ,
+    STATUS,
+    SYNC_READ,
+    SYNC_WRITE,
+    WRITE,
+    Packets,
 )
+from esair.drivers.servo._tables import DYNAMIXEL_X, Snapshot
+from esair.exceptions import DeviceFaultError, EsairError
+from esair.framing import Framing
 from esair.loop import now, spawn
-from esair.values import check_whole
-from esair.watchdog import Outlet
 
 QUIET = 3
 """For how many turns of the loop nothing is asked before what was asked leaves."""
@@ -115,13 +114,16 @@ class Together:
                 future.set_result(result)
 
 
-Told = tuple[int, int, int]
-"""What an exchange brings: a value, how it went, and what the servo says is wrong."""
-
 HARDWARE_ERROR = 70
+
+ANSWER_TIMEOUT: Final = 0.05
+"""How long a servo may take for a whole answer, in seconds."""
 
 LATE_LIMIT: Final = 0.1
 """How long after it was given up an answer may still come, in seconds."""
+
+ALL: Final = 0xFE
+"""The id of a request to several."""
 
 ALERT: Final = 0x80
 """The bit of an answer that says: look at ``HARDWARE_ERROR``."""
@@ -141,7 +143,13 @@ def hardware_errors(bits: int) -> str:
     return ", ".join(named) or f"code {bits:#04x}"
 
 
-class ServoBus(LinkBus[SdkPort]):
+Told = tuple[int, bytes]
+"""What a servo answers: what it says is wrong, and what was asked for."""
+
+_words = PacketHandler(2.0).getRxPacketError
+
+
+class ServoBus(SerialBus):
     """The line that servos share.
 
     Requests of several servos for the same entry that are there at the same time are one
@@ -149,21 +157,21 @@ class ServoBus(LinkBus[SdkPort]):
     takes most of the time. A sync write has no answer, so what servos are told goes
     before what they are asked.
 
-    In ``bus.stats`` what is sent and received is counted in packets.
-
     Args:
         name: The name of the bus.
-        port: A device file, or ``usb:VID:PID[:SERIAL]``.
+        port: Where the port is, as of a `SerialBus`.
         baudrate: Bits per second; servos come set to 57600.
-        timeout: How long one request may take, its turn included, in seconds.
-        opener: Opens something else than a port, such as a fake; may block.
+        timeout: How long one request may wait for its turn, in seconds.
+        wire: What is opened instead of a port, such as a fake.
+        **settings: Those of a `SerialBus`, such as ``echo``.
     """
 
-    path: str
-
     table = DYNAMIXEL_X
-    _rx_timeout = COMM_RX_TIMEOUT
-    _rx_corrupt = COMM_RX_CORRUPT
+    _framing: Framing = Packets()
+    _status = bytes([STATUS])
+    """What stands between its id and its error in an answer."""
+    _word = 2
+    """How many bytes an address and a size have."""
 
     def __init__(
         self,
@@ -172,68 +180,26 @@ class ServoBus(LinkBus[SdkPort]):
         port: str = "",
         baudrate: int = 57600,
         timeout: float = 0.5,
-        opener: Callable[[], ServoLink] | None = None,
+        wire: Wire | None = None,
+        **settings: Any,
     ) -> None:
-        super().__init__(name=name, timeout=timeout)
-        self.port = port
-        self.baudrate: int = check_whole(name, "baudrate", baudrate, 1)
-        self._opener = opener
-        self._exchanges = Exchanges(self, late_limit=LATE_LIMIT)
+        super().__init__(
+            name=name,
+            port=port,
+            baudrate=baudrate,
+            framing=self._framing,
+            write_timeout=timeout,
+            late_limit=LATE_LIMIT,
+            wire=wire,
+            **settings,
+        )
         self._together = Together(self._make_requests)
         self._snapshots: dict[int, tuple[float, Snapshot]] = {}
-        self._handler: Any = self._make_handler()
-        self._under_way = ""
-        """What the exchange is that has its turn."""
-        if opener is not None:
-            self._presence = self._still_there = None
-            return
-        self._place = SerialPlace(name, port)
-        if self._place.is_url:
-            raise ConfigError(
-                name, "port", f"expected a device file or usb:..., not {port!r:.80}"
-            )
-
-    def _make_handler(self) -> Any:
-        """Return what makes and reads packets."""
-        return PacketHandler(2.0)
-
-    def _sync_read(
-        self, handler: Any, link: SdkPort, address: int, size: int, servos: list[int]
-    ) -> int:
-        """Ask servos for an entry; returns the code of how that went."""
-        code: int = handler.syncReadTx(link, address, size, servos, len(servos), False)
-        return code
-
-    def _faults(self, error: int) -> str:
-        """Return what an answer says about the servo, beside that it has shut down."""
-        text = str(self._handler.getRxPacketError(error & ~ALERT))
-        return text.rpartition("] ")[2] if error & ~ALERT else ""
-
-    @property
-    def outlet(self) -> Outlet | None:
-        """A duplicate of the descriptor of its port."""
-        line = None if self._link is None else self._link.line
-        if not isinstance(line, PortLink):
-            return None
-        return Outlet("serial", descriptor=line.fileno())
 
     def packet(self, servo: int, address: int, value: int, size: int = 1) -> bytes:
         """Return the packet that writes one entry and wants no answer."""
-        written: list[bytes] = []
-
-        class Captured:
-            is_using = False
-
-            def writePort(self, packet: list[int]) -> int:  # noqa: N802 - the SDK's
-                written.append(bytes(packet))
-                return len(packet)
-
-            def clearPort(self) -> None:  # noqa: N802
-                """There is nothing in it."""
-
-        data = list((value & (1 << 8 * size) - 1).to_bytes(size, "little"))
-        self._handler.writeTxOnly(Captured(), servo, address, size, data)
-        return b"".join(written)
+        data = (value & (1 << 8 * size) - 1).to_bytes(size, "little")
+        return self.framing.encode(bytes([servo, WRITE]) + self._at(address) + data)
 
     async def ping(self, servo: int) -> int:
         """Return the model number of a servo.
@@ -243,11 +209,8 @@ class ServoBus(LinkBus[SdkPort]):
             DeviceLostError: The line is gone.
             DriverStuckError: It took too long.
         """
-
-        def call(handler: Any, link: SdkPort) -> Told:
-            return handler.ping(link, servo)  # type: ignore[no-any-return]
-
-        return await self._request(servo, "ping", call)
+        told = await self._request(servo, "ping", bytes([PING]))
+        return int.from_bytes(told[:2], "little")
 
     async def read(self, servo: int, address: int, size: int) -> int:
         """Return an entry of a servo's control table of 1, 2 or 4 bytes.
@@ -256,7 +219,9 @@ class ServoBus(LinkBus[SdkPort]):
         """
         return await self._together.ask(Kind.READ, servo, address, size)
 
-    async def write(self, servo: int, address: int, size: int, value: int) -> None:
+    async def write(  # type: ignore[override]  # an entry, as `read`
+        self, servo: int, address: int, size: int, value: int
+    ) -> None:
         """Change an entry of a servo's control table; args and errors as for `read`."""
         raw = value & (1 << 8 * size) - 1
         await self._together.ask(Kind.WRITE, servo, address, size, raw)
@@ -294,6 +259,10 @@ class ServoBus(LinkBus[SdkPort]):
         look = self.table.look
         return self.table.snapshot(await self.read(servo, look.address, look.size))
 
+    def _at(self, *numbers: int) -> bytes:
+        """Return an address, and a size, as a request says them."""
+        return b"".join(each.to_bytes(self._word, "little") for each in numbers)
+
     async def _make_requests(self, key: Key, asked: Mapping[int, int]) -> Made:
         """Make requests of one or of several servos for one entry."""
         if key[0] is Kind.WRITE:
@@ -322,97 +291,53 @@ class ServoBus(LinkBus[SdkPort]):
     async def _make_one(
         self, servo: int, address: int, size: int, value: int | None
     ) -> int:
-        def call(handler: Any, link: SdkPort) -> Told:
-            if value is None:
-                data, result, error = handler.readTxRx(link, servo, address, size)
-            else:
-                data = list(value.to_bytes(size, "little"))
-                result, error = handler.writeTxRx(link, servo, address, size, data)
-            return int.from_bytes(bytes(data), "little"), result, error
-
-        verb = "read" if value is None else "write"
-        return await self._request(servo, f"{verb} {address}", call)
+        if value is None:
+            request = bytes([READ]) + self._at(address, size)
+            told = await self._request(servo, f"read {address}", request)
+            return int.from_bytes(told, "little")
+        request = bytes([WRITE]) + self._at(address) + value.to_bytes(size, "little")
+        await self._request(servo, f"write {address}", request)
+        return 0
 
     async def _read_all(self, address: int, size: int, servos: tuple[int, ...]) -> Made:
-        def call(handler: Any, link: SdkPort) -> list[Told]:
-            result = self._sync_read(handler, link, address, size, list(servos))
-            told = []
-            for servo in servos:
-                data, error = [], 0
-                if not result:
-                    data, result, error = handler.readRx(link, servo, size)
-                told.append((int.from_bytes(bytes(data), "little"), result, error))
-            link.is_using = False
-            return told
-
+        request = bytes([SYNC_READ]) + self._at(address, size) + bytes(servos)
         what = f"read {address} of {len(servos)} servos"
-        told = await self._exchanged(servos, what, call)
+        told = await self._exchanged(servos, what, request, to=ALL)
         found: dict[int, int | BaseException] = {}
-        for servo, (value, result, error) in zip(servos, told, strict=True):
-            if result or error:  # asked again alone: it tells why, and for the others
+        for servo in servos:
+            error, data = told.get(servo, (-1, b""))
+            if error:  # asked again alone: it tells why, and for the others
                 try:
                     found[servo] = await self._make_one(servo, address, size, None)
                 except EsairError as alone:
                     found[servo] = alone
             else:
-                self.stats.received += 1
-                found[servo] = value
+                found[servo] = int.from_bytes(data, "little")
         return found
 
     async def _write_all(
         self, address: int, size: int, asked: Mapping[int, int]
     ) -> Made:
-        data: list[int] = []
+        request = bytes([SYNC_WRITE]) + self._at(address, size)
         for servo, value in asked.items():
-            data += [servo, *value.to_bytes(size, "little")]
-
-        def call(handler: Any, link: SdkPort) -> list[Told]:
-            sent = handler.syncWriteTxOnly(link, address, size, data, len(data))
-            return [(0, sent, 0)]
-
+            request += bytes([servo]) + value.to_bytes(size, "little")
         what = f"write {address} of {len(asked)} servos"
-        await self._exchanged(tuple(asked), what, call)
+        await self._exchanged(tuple(asked), what, request, to=ALL, answers=False)
         return dict.fromkeys(asked, 0)
 
-    async def _exchanged(
-        self,
-        servos: tuple[int, ...],
-        what: str,
-        call: Callable[[Any, SdkPort], list[Told]],
-    ) -> list[Told]:
-        """Make an exchange with servos in its turn, and return what each has told."""
-        self._connected()
-        # The package tells answers apart by the servo, and throws away what came before.
-        exchange = self._exchanges.request(*servos, timeout=self.timeout)
-        exchange.name = what
-        async with exchange:
-            exchange.begin()
-            self._under_way = what
-            self.stats.sent += 1
-            transfer = functools.partial(self._run, call)
-            told = await self._turn(transfer, None, exchange.left)
-            if all(result != self._rx_timeout for _, result, _ in told):
-                exchange.end()
-        return told
-
-    async def _request(
-        self,
-        servo: int,
-        what: str,
-        call: Callable[[Any, SdkPort], Told],
-    ) -> int:
-        ((value, result, error),) = await self._exchanged(
-            (servo,), what, lambda handler, link: [call(handler, link)]
-        )
-        if result:
-            self.stats.bad_frames += result == self._rx_corrupt
-            fault = DeviceFaultError(
-                self.name, f"servo {servo}, {what}: {_plain(self._handler, result)}"
-            )
-            if result == self._rx_timeout:
+    async def _request(self, servo: int, what: str, request: bytes) -> bytes:
+        """Ask one servo, and return what it says unless that is an error."""
+        bad = self.framing.bad_frames
+        told = await self._exchanged((servo,), what, request, to=servo)
+        if servo not in told:
+            is_damaged = self.framing.bad_frames > bad
+            why = "Incorrect" if is_damaged else "There is no"
+            text = f"servo {servo}, {what}: {why} status packet"
+            fault = DeviceFaultError(self.name, text)
+            if not is_damaged:
                 fault.errno = errno.ETIMEDOUT  # it has no power, say
             raise self.failed(fault)
-        self.stats.received += 1
+        error, data = told[servo]
         if error & ALERT and what != f"read {self.table.errors}":
             bits = await self._make_one(servo, self.table.errors, 1, None)
             raise DeviceFaultError(
@@ -422,59 +347,56 @@ class ServoBus(LinkBus[SdkPort]):
             )
         if faults := self._faults(error):
             raise DeviceFaultError(self.name, f"servo {servo}, {what}: {faults}")
-        return value
+        return data
 
-    def _run(
-        self, call: Callable[[Any, SdkPort], list[Told]], link: SdkPort
-    ) -> list[Told]:
-        link.is_using = False  # what a call that has failed half-way has left
-        return call(self._handler, link)
+    def _faults(self, error: int) -> str:
+        """Return what an answer says about the servo, beside that it has shut down."""
+        text = str(_words(error & ~ALERT)) if error & ~ALERT else ""
+        return text.rpartition("] ")[2]
 
-    def _explained(
-        self, error: OSError, address: int | None, seconds: float
-    ) -> EsairError:
-        if isinstance(error, TimeoutError):  # the line takes no bytes
-            return self._stuck_with(address, ANSWER_TIMEOUT)
-        return DeviceLostError(self.name, describe(error))
-
-    def _stuck_with(self, address: int | None, seconds: float) -> DriverStuckError:
-        return DriverStuckError(self.name, self._under_way, seconds)
-
-    def lost(self, error: BaseException) -> None:
-        """Tell everybody on the bus, once, that it is gone."""
-        self._exchanges.fail(error)
-        super().lost(error)
+    async def _exchanged(
+        self,
+        servos: tuple[int, ...],
+        what: str,
+        request: bytes,
+        *,
+        to: int,
+        answers: bool = True,
+    ) -> dict[int, Told]:
+        """Make an exchange with servos in its turn, and return what each has told."""
+        self._connected()
+        told: dict[int, Told] = {}
+        # Who has not answered is not asked before its answer cannot come any more.
+        exchange = self._exchanges.request(*servos, timeout=self.write_timeout)
+        exchange.name = what
+        async with exchange:
+            with self.frames() as inbox:
+                self.framing.reset()  # what has come before is no answer
+                size = self._put(self.framing.encode(bytes([to]) + request), exchange)
+                if size:
+                    await self._sent(size, ANSWER_TIMEOUT)
+                until = now() + ANSWER_TIMEOUT
+                while answers and len(told) < len(servos) and now() < until:
+                    try:
+                        message = await inbox.take(timeout=until - now())
+                    except TimeoutError:
+                        break
+                    servo, status = message[0], message[1:].startswith(self._status)
+                    if servo in servos and status:
+                        error, *data = message[1 + len(self._status) :]
+                        told[servo] = error, bytes(data)
+            if not answers or len(told) == len(servos):
+                exchange.end()
+        return told
 
     async def _open(self) -> None:
         self._snapshots.clear()
         await super()._open()
-        await self._exchanges.silence()
 
-    async def _close(self) -> None:
-        self._exchanges.fail(DeviceLostError(self.name, "the line was closed"))
-        await super()._close()
-
-    def _open_link(self) -> SdkPort:
-        line: ServoLink
-        if self._opener is not None:
-            line = self._opener()
-        else:
-            port = open_port(self._place, self.baudrate, {}, {})
-            self.path, line = port.path, PortLink(port)
-        return SdkPort(line, self.baudrate)
-
-    def _look(self) -> Hashable | None:
-        return self._place.look()
-
-    def _identity(self) -> Hashable | None:
-        if self._opener is not None:
-            return None
-        try:
-            found = os.stat(self._place.find())
-        except OSError:
-            return None
-        return found.st_rdev, found.st_ino
-
-
-def _plain(handler: Any, result: int) -> str:
-    return str(handler.getTxRxResult(result)).rpartition("] ")[2] or f"error {result}"
+    async def _open_port(self, protocol: asyncio.Protocol, path: str) -> SerialLink:
+        link = await super()._open_port(protocol, path)
+        # An adapter of FTDI keeps for 16 ms what came; others have nothing like that.
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            assert self._open_device is not None
+            self._open_device.device.set_low_latency_mode(True)
+        return link

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import errno
-import os
+import asyncio
 import struct
 from collections.abc import Iterable, Mapping
 from typing import Protocol
 
-from dynamixel_sdk import Protocol2PacketHandler  # type: ignore[import-untyped]
-
+from esair.buses import Bus, Wire
+from esair.buses.serial import MemoryLine
 from esair.drivers.servo import (
     CENTER,
     GOAL_POSITION,
@@ -17,13 +16,17 @@ from esair.drivers.servo import (
     OPERATING_MODE,
     PRESENT_POSITION,
     TORQUE_ENABLE,
-    ServoLink,
 )
-from esair.loop import now, sleep_in_thread
-
-PING, READ, WRITE, STATUS = 0x01, 0x02, 0x03, 0x55
-SYNC_READ, SYNC_WRITE = 0x82, 0x83
-HEADER = b"\xff\xff\xfd\x00"
+from esair.drivers.servo._packets import (
+    PING,
+    READ,
+    STATUS,
+    SYNC_READ,
+    SYNC_WRITE,
+    WRITE,
+    Packets,
+)
+from esair.framing import Framing
 
 ALERT = 0x80
 """The bit of an answer that says that the servo has shut down."""
@@ -36,15 +39,10 @@ TABLE_SIZE = 252
 MAP, MAPPED = 168, 224
 """Where the table has 28 addresses, and where it has what is at them."""
 
-_crc = Protocol2PacketHandler().updateCRC
-
 
 def packet(servo: int, instruction: int, parameters: bytes) -> bytes:
     """Return a packet: header, id, length, instruction, parameters, checksum."""
-    body = bytes([instruction]) + parameters
-    body = body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
-    head = HEADER + struct.pack("<BH", servo, len(body) + 2)
-    return head + body + struct.pack("<H", _crc(0, head + body, len(head + body)))
+    return Packets().encode(bytes([servo, instruction]) + parameters)
 
 
 class FakeServo:
@@ -124,8 +122,8 @@ class _Obeying(Protocol):
     def obey(self, instruction: int, parameters: bytes) -> bytes: ...
 
 
-class FakeServos:
-    """Servos on one line; ``open`` is the opener of a `ServoBus`.
+class FakeServos(Wire):
+    """Servos on one line, which is the ``wire`` of a `ServoBus`.
 
     Args:
         servos: Them, by id.
@@ -138,11 +136,13 @@ class FakeServos:
         turns: How often the wire was turned, from asking to answering.
     """
 
-    _header = HEADER
-    _word = 2  # the bytes of a length, an address and a size
+    _packets: Framing = Packets()
+    _mark = bytes([STATUS])
+    _word = 2  # the bytes of an address and a size
     _in_turn = True
 
     def __init__(self, servos: dict[int, FakeServo] | Iterable[int] = (1,)) -> None:
+        super().__init__()
         self.servos: dict[int, FakeServo] = (
             servos
             if isinstance(servos, dict)
@@ -155,15 +155,20 @@ class FakeServos:
         self.turns = 0
         self._garble = 0
         self._stalled = False
-        self._rest = b""
+        self._framing = self._packets.fresh()
+        self._line: MemoryLine | None = None
 
     def unplug(self) -> None:
         """Be gone, from this moment on."""
         self.plugged = False
+        if self._line is not None:
+            self._line.unplug()
 
     def plug(self) -> None:
         """Be there again."""
         self.plugged = True
+        if self._line is not None:
+            self._line.plug()
 
     def power_cycle(self) -> None:
         """Lose the power for a moment, all of them."""
@@ -182,44 +187,30 @@ class FakeServos:
         """Damage the next answers on their way."""
         self._garble = count
 
-    def open(self) -> ServoLink:
-        """Open the robot's end.
+    async def join(self, bus: Bus) -> MemoryLine:
+        """Return the line, as it is opened now."""
+        self._framing.reset()
+        self._line = line = MemoryLine(bus.name)
+        line.heard = self._answer
+        if self.plugged:
+            line.plug()
+        return line
 
-        Raises:
-            OSError: They are unplugged.
-        """
-        self.check()
-        self._rest = b""
-        return _MemoryLink(self)
-
-    def check(self) -> None:
-        """Raise what the kernel says about a line that is gone."""
-        if not self.plugged:
-            raise OSError(errno.EIO, os.strerror(errno.EIO))
+    def _answer(self, data: bytes) -> None:
+        answers, line = self.heard(data), self._line
+        if answers and line is not None:
+            self.turns += 1
+            loop = asyncio.get_running_loop()
+            loop.call_later(self.delay, line.write, answers)
 
     def heard(self, data: bytes) -> bytes:
         """Take bytes from the line; return the answers of the servos."""
-        data, answers = self._rest + data, b""
-        header, size_at = self._header, len(self._header) + 1
-        head = size_at + self._word
-        while (begin := data.find(header)) >= 0 and len(data) >= begin + head:
-            size = int.from_bytes(data[begin + size_at : begin + head], "little")
-            end = begin + head + size
-            if len(data) < end:
-                break
-            request, data = self._opened(data[begin:end]), data[end:]
-            if request is not None:
-                self.written.append(request)
-                answers += b"" if self._stalled else self._reply(*request)
-        self._rest = data[-1024:]
+        answers = b""
+        for number, instruction, *parameters in self._framing.feed(data):
+            request = number, instruction, bytes(parameters)
+            self.written.append(request)
+            answers += b"" if self._stalled else self._reply(*request)
         return answers
-
-    def _opened(self, request: bytes) -> tuple[int, int, bytes] | None:
-        """Return id, instruction and parameters of a packet, if it is not damaged."""
-        if _crc(0, request, len(request) - 2) != int.from_bytes(request[-2:], "little"):
-            return None
-        plain = request[8:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
-        return request[4], request[7], plain
 
     def _reply(self, number: int, instruction: int, parameters: bytes) -> bytes:
         two = 2 * self._word
@@ -244,45 +235,10 @@ class FakeServos:
         if number not in self._there:
             return b""
         told = self._there[number].obey(instruction, parameters)
-        answer = self._packed(number, told) if told else b""
-        if answer and self._garble:
+        if not told:
+            return b""
+        answer = self._framing.encode(bytes([number]) + self._mark + told)
+        if self._garble:
             self._garble -= 1
             answer = answer[:-1] + bytes([answer[-1] ^ 0x55])
         return answer
-
-    def _packed(self, number: int, told: bytes) -> bytes:
-        return packet(number, STATUS, told)
-
-
-class _MemoryLink:
-    """The robot's end, for the thread of the bus."""
-
-    def __init__(self, servos: FakeServos) -> None:
-        self._servos = servos
-        self._answers = b""
-        self._late = 0.0
-
-    def write(self, data: bytes, seconds: float) -> None:
-        self._servos.check()
-        answers = self._servos.heard(data)
-        if answers:
-            self._servos.turns += 1
-            self._late = now() + self._servos.delay
-        self._answers += answers
-
-    def read(self, size: int, seconds: float) -> bytes:
-        self._servos.check()
-        early = self._late - now()
-        if not self._answers or early > 0:
-            sleep_in_thread(min(seconds, early) if self._answers else seconds)
-        if now() < self._late:
-            return b""
-        data, self._answers = self._answers[:size], self._answers[size:]
-        return data
-
-    def discard(self) -> None:
-        if now() >= self._late:
-            self._answers = b""
-
-    def close(self) -> None:
-        """Have nothing to let go."""

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from esair.drivers.servo._packets import FEETECH, PING, READ, WRITE
 from esair.drivers.servo._tables import FEETECH_STS
-from esair.drivers.servo.fake import PING, READ, WRITE, FakeServos
+from esair.drivers.servo.fake import FakeServos
 
 TABLE_SIZE = 71
-
-
-def packet(servo: int, head: int, parameters: bytes) -> bytes:
-    """Return a packet: header, id, length, instruction or error, parameters, checksum."""
-    body = bytes([servo, len(parameters) + 2, head]) + parameters
-    return b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
 
 
 class FakeFeetechServo:
@@ -71,22 +66,15 @@ class FakeFeetechServo:
 
 
 class FakeFeetechServos(FakeServos):
-    """Servos on one line; ``open`` is the opener of a `FeetechBus`."""
+    """Servos on one line, which is the ``wire`` of a `FeetechBus`."""
 
     feetech: dict[int, FakeFeetechServo]
 
-    _header = b"\xff\xff"
+    _packets = FEETECH
+    _mark = b""
     _word = 1
     _in_turn = False
 
     def __init__(self, servos: Iterable[int] = (1,)) -> None:
         super().__init__(())
         self._there = self.feetech = {number: FakeFeetechServo() for number in servos}
-
-    def _opened(self, request: bytes) -> tuple[int, int, bytes] | None:
-        if len(request) < 6 or ~sum(request[2:-1]) & 0xFF != request[-1]:
-            return None
-        return request[2], request[4], request[5:-1]
-
-    def _packed(self, number: int, told: bytes) -> bytes:
-        return packet(number, told[0], told[1:])
