@@ -54,6 +54,8 @@ def rows() -> Iterator[tuple[str, str, str, str]]:
         what = doc.partition("\n")[0].rstrip(".").replace("``", "`")
         if place.parent != DRIVERS:  # a part of the package beside it
             files += place.parent.glob("_on_*.py")
+        if "drivers._on_chip" in source:
+            files.append(DRIVERS / "_on_chip.py")
         kinds = BUS.findall("".join(file.read_text("utf-8") for file in files))
         bus = ", ".join(dict.fromkeys(BUSES[kind] for kind in kinds)) or "none"
         yield what, f"`{name}`", library_of(source), bus

@@ -6,14 +6,12 @@ Which kind of bus that is says the annotation ``bus:`` of a class, and the ruleb
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import weakref
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import Any, TypeVar
 
 from esair.buses import Bus, Inbox
-from esair.buses.i2c import SILENT
-from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.exceptions import ConfigError, DeviceLostError
 from esair.framing import FRAMINGS, Framing
 from esair.loop import spawn
 from esair.resources import Resource
@@ -81,31 +79,6 @@ def check_bus(device: Resource, kind: type[Bus], *framings: type[Framing]) -> No
     raise ConfigError(
         device.name, "bus", f"expected a {kind.__name__}{framed}, not {bus!r}{advice}"
     )
-
-
-def check_address(device: Resource, address: object, allowed: range) -> int:
-    """Return the address of a chip on an I²C bus, if the chip can have it."""
-    if type(address) is int and address in allowed:
-        return address
-    shown = f"{address:#04x}" if type(address) is int else f"{address!r:.80}"
-    raise ConfigError(
-        device.name,
-        "address",
-        f"expected {allowed[0]:#04x} to {allowed[-1]:#04x}, not {shown}",
-    )
-
-
-@contextlib.contextmanager
-def expected_at(device: Resource, address: int) -> Iterator[None]:
-    """Take a chip that does not answer as lost: it is waited for; a wrong answer is not."""
-    try:
-        yield
-    except DeviceFaultError as error:
-        if error.errno not in SILENT:
-            raise
-        raise DeviceLostError(
-            device.name, f"no chip answers at {address:#04x}"
-        ) from error
 
 
 def heard(

@@ -8,18 +8,10 @@ from typing import Any, TypeAlias
 
 from esair.buses._bus import listen
 from esair.buses._inbox import Awaited, Sent
+from esair.buses.can import _frame as frames
 from esair.buses.can._bus import CanBus
 from esair.buses.can._far_end import MemoryCan
-from esair.buses.can._frame import (
-    BUS_OFF,
-    CONTROLLER,
-    CONTROLLER_BITS,
-    CanState,
-    Frame,
-    FrameKind,
-    check_data,
-    key_of,
-)
+from esair.buses.can._frame import CanState, Frame, FrameKind
 
 SENT_LIMIT = 100_000
 """How many frames of the robot are remembered; then the newest win."""
@@ -69,8 +61,8 @@ class FakeCan(CanBus):
         remote: bool = False,
     ) -> None:
         """Send a frame to the robot; it is lost if the bus is closed or unplugged."""
-        key_of(self.name, id, extended=extended)
-        check_data(self.name, data, fd=self.fd)
+        frames.key_of(self.name, id, extended=extended)
+        frames.check_data(self.name, data, fd=self.fd)
         kind = FrameKind.REMOTE if remote else FrameKind.DATA
         if not self._powered:
             return
@@ -104,7 +96,7 @@ class FakeCan(CanBus):
         Returns:
             How to stop that.
         """
-        key_of(self.name, id, extended=extended)
+        frames.key_of(self.name, id, extended=extended)
 
         def listener(frame: Frame) -> Reply:
             if (frame.id, frame.extended) != (id, extended):
@@ -147,10 +139,10 @@ class FakeCan(CanBus):
             data: The bytes of the error frame.
         """
         if error is CanState.BUS_OFF:
-            self._far.error_frame(BUS_OFF, data)
+            self._far.error_frame(frames.BUS_OFF, data)
         elif isinstance(error, CanState):
-            said = bytes((0, CONTROLLER_BITS[error])) + data[2:]
-            self._far.error_frame(CONTROLLER, said)
+            said = bytes((0, frames.CONTROLLER_BITS[error])) + data[2:]
+            self._far.error_frame(frames.CONTROLLER, said)
         else:
             self._far.error_frame(error, data)
 
@@ -216,7 +208,7 @@ class FakeCan(CanBus):
         self._far.fail(error, after=after, times=times)
 
     def _heard(self, frame: Frame) -> None:
-        key = key_of(self.name, frame.id, extended=frame.extended)
+        key = frames.key_of(self.name, frame.id, extended=frame.extended)
         self._newest.pop(key, None)
         self._newest[key] = frame
         self.sent.append(frame)

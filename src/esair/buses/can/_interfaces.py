@@ -12,17 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from esair.buses import finding
 from esair.buses.can._frame import CanState
-from esair.buses.finding import (
-    ROOT,
-    Device,
-    entries,
-    identity_of,
-    quoted,
-    read,
-    usb_device,
-    words_of,
-)
+from esair.buses.finding import ROOT, Device
 
 _HEADER: Final = struct.Struct("=IHHII")  # length, type, flags, sequence, port
 _LINK: Final = struct.Struct("=BxHiII")  # family, type, index, flags, change
@@ -142,8 +134,8 @@ def devices(root: Path = ROOT) -> list[Device]:
     """Return the CAN interfaces that are there, by their names."""
     places = [
         place
-        for place in entries(root / "sys/class/net")
-        if read(place / "type") == ARPHRD_CAN
+        for place in finding.entries(root / "sys/class/net")
+        if finding.read(place / "type") == ARPHRD_CAN
     ]
     return [_interface(place, root) for place in places]
 
@@ -160,14 +152,14 @@ def toml(device: Device, name: str) -> list[str]:
         f"[bus.{name}]",
         'type = "can"',
         'interface = "socketcan"',
-        f"channel = {quoted(device.address)}",
+        f"channel = {finding.quoted(device.address)}",
     ]
 
 
 def _interface(place: Path, root: Path) -> Device:
-    usb = usb_device(place / "device", root)
+    usb = finding.usb_device(place / "device", root)
     if usb is not None:
-        words = words_of(usb) or "USB CAN adapter"
+        words = finding.words_of(usb) or "USB CAN adapter"
     elif (place / "device").exists():
         driver = os.path.basename(os.path.realpath(place / "device/driver"))
         words = f"controller of the computer ({driver})"
@@ -182,7 +174,7 @@ def _interface(place: Path, root: Path) -> Device:
         path=place.name,
         address=place.name,
         description=words,
-        identity=identity_of(usb),
+        identity=finding.identity_of(usb),
         state=_state(place, found),
         bitrate=None if found is None else found.bitrate,
     )
@@ -190,7 +182,7 @@ def _interface(place: Path, root: Path) -> Device:
 
 def _state(place: Path, found: Interface | None) -> str:
     try:
-        up = bool(int(read(place / "flags"), 16) & IFF_UP)
+        up = bool(int(finding.read(place / "flags"), 16) & IFF_UP)
     except ValueError:
         return ""
     words = ["up" if up else "down"]

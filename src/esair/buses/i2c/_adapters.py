@@ -4,16 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from esair.buses.finding import (
-    ROOT,
-    Device,
-    entries,
-    identity_of,
-    permission,
-    quoted,
-    read,
-    usb_device,
-)
+from esair.buses import finding
+from esair.buses.finding import ROOT, Device
 
 _WHERE = " at bus "
 """What begins the part of a USB adapter's name that changes with every plugging."""
@@ -23,11 +15,11 @@ def devices(root: Path = ROOT) -> list[Device]:
     """Return the I²C buses that are there, by their numbers."""
     places = [
         place
-        for place in entries(root / "sys/class/i2c-dev")
+        for place in finding.entries(root / "sys/class/i2c-dev")
         if place.name.removeprefix("i2c-").isdecimal()
         and (root / "dev" / place.name).exists()
     ]
-    names = {place.name: read(place / "name") for place in places}
+    names = {place.name: finding.read(place / "name") for place in places}
     return [_bus(place, root, names) for place in places]
 
 
@@ -37,13 +29,13 @@ def toml(device: Device, name: str) -> list[str]:
     return [
         f"[bus.{name}]",
         'type = "i2c"',
-        f"bus = {device.address if number else quoted(device.address)}",
+        f"bus = {device.address if number else finding.quoted(device.address)}",
     ]
 
 
 def _bus(place: Path, root: Path, names: dict[str, str]) -> Device:
     name = names[place.name]
-    usb = usb_device(place / "device", root)
+    usb = finding.usb_device(place / "device", root)
     address = place.name.removeprefix("i2c-")
     if usb is not None:  # its number is whatever was free
         lasting = name.partition(_WHERE)[0]
@@ -54,6 +46,6 @@ def _bus(place: Path, root: Path, names: dict[str, str]) -> Device:
         path=f"/dev/{place.name}",
         address=address,
         description=name,
-        identity=identity_of(usb),
-        state=permission(root / "dev" / place.name),
+        identity=finding.identity_of(usb),
+        state=finding.permission(root / "dev" / place.name),
     )

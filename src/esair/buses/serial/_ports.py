@@ -9,19 +9,8 @@ from pathlib import Path
 
 import attrs
 
-from esair.buses.finding import (
-    ROOT,
-    Device,
-    UsbIdentity,
-    entries,
-    identity_of,
-    parse_identity,
-    permission,
-    quoted,
-    read,
-    usb_device,
-    words_of,
-)
+from esair.buses import finding
+from esair.buses.finding import ROOT, Device
 
 _UNUSED = "0"
 """The type of a port that the kernel provides for, and the computer does not have."""
@@ -44,7 +33,7 @@ def find_port(identity: str, root: Path = ROOT) -> str:
         ConfigError: It is not the form of an identity.
         ConnectionError: No such device is there, or several are.
     """
-    wanted = parse_identity(identity)
+    wanted = finding.parse_identity(identity)
     ports = devices(root)
     fitting = [port for port in ports if _fits(wanted, port)]
     if len(fitting) == 1:
@@ -80,7 +69,7 @@ def serial_identity(path: str, root: Path = ROOT) -> str | None:
             return None
         number = f"{os.major(found.st_rdev)}:{os.minor(found.st_rdev)}"
         place = root / "sys/dev/char" / number
-    return identity_of(usb_device(place / "device", root))
+    return finding.identity_of(finding.usb_device(place / "device", root))
 
 
 def devices(root: Path = ROOT) -> list[Device]:
@@ -100,7 +89,7 @@ def toml(device: Device, name: str) -> list[str]:
     return [
         f"[bus.{name}]",
         'type = "serial"',
-        f"port = {quoted(device.address)}",
+        f"port = {finding.quoted(device.address)}",
         "baudrate = 115200",
     ]
 
@@ -108,12 +97,12 @@ def toml(device: Device, name: str) -> list[str]:
 def _ports_of_sysfs(root: Path) -> list[Device]:
     links = _links(root / "dev/serial/by-id", root)
     found = []
-    for place in entries(root / "sys/class/tty"):
+    for place in finding.entries(root / "sys/class/tty"):
         path = f"/dev/{place.name}"
         if not (place / "device").exists() or not (root / path[1:]).exists():
             continue  # a console or pseudo-terminal, or not in this container
-        usb = usb_device(place / "device", root)
-        if usb is None and read(place / "type") == _UNUSED:
+        usb = finding.usb_device(place / "device", root)
+        if usb is None and finding.read(place / "type") == _UNUSED:
             continue
         found.append(
             Device(
@@ -121,9 +110,9 @@ def _ports_of_sysfs(root: Path) -> list[Device]:
                 path=path,
                 address=path,
                 description=_words(place, usb),
-                identity=identity_of(usb),
+                identity=finding.identity_of(usb),
                 by_id=links.get(path),
-                state=permission(root / path[1:]),
+                state=finding.permission(root / path[1:]),
             )
         )
     return found
@@ -132,7 +121,7 @@ def _ports_of_sysfs(root: Path) -> list[Device]:
 def _links(directory: Path, root: Path) -> dict[str, str]:
     """Return the first link to each port."""
     found: dict[str, str] = {}
-    for link in entries(directory):
+    for link in finding.entries(directory):
         target = os.path.relpath(os.path.realpath(link), os.path.realpath(root))
         found.setdefault(f"/{target}", f"/{link.relative_to(root)}")
     return found
@@ -140,7 +129,7 @@ def _links(directory: Path, root: Path) -> dict[str, str]:
 
 def _words(place: Path, usb: Path | None) -> str:
     if usb is not None:
-        return words_of(usb) or "USB serial port"
+        return finding.words_of(usb) or "USB serial port"
     device = (place / "device").resolve()
     for part in (device, *device.parents[:3]):
         driver = os.path.basename(os.path.realpath(part / "driver"))
@@ -156,7 +145,9 @@ def _ports_of_pyserial() -> list[Device]:
     for port in sorted(list_ports.comports(), key=lambda each: str(each.device)):
         identity = None
         if port.vid is not None and port.pid is not None:
-            identity = str(UsbIdentity(port.vid, port.pid, port.serial_number or ""))
+            identity = str(
+                finding.UsbIdentity(port.vid, port.pid, port.serial_number or "")
+            )
         words = "".join(
             each if each.isprintable() else "?" for each in port.description or ""
         )
@@ -175,7 +166,7 @@ def _ports_of_pyserial() -> list[Device]:
 def _address(port: Device, ports: list[Device], by_path: dict[str, str]) -> str:
     """Return how it is found again: by who it is, or else by where it is plugged in."""
     if port.identity is not None:
-        wanted = parse_identity(port.identity)
+        wanted = finding.parse_identity(port.identity)
         alike = [other for other in ports if _fits(wanted, other)]
         if len(alike) == 1:
             return port.identity
@@ -184,8 +175,10 @@ def _address(port: Device, ports: list[Device], by_path: dict[str, str]) -> str:
     return by_path.get(port.path, port.path)
 
 
-def _fits(wanted: UsbIdentity, port: Device) -> bool:
-    return port.identity is not None and wanted.fits(parse_identity(port.identity))
+def _fits(wanted: finding.UsbIdentity, port: Device) -> bool:
+    return port.identity is not None and wanted.fits(
+        finding.parse_identity(port.identity)
+    )
 
 
 def _remedy(fitting: list[Device]) -> str:

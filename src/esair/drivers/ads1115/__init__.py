@@ -10,8 +10,8 @@ from typing import Any, Unpack
 
 import attrs
 
-from esair.buses import I2CBus
-from esair.drivers._on_bus import check_address, expected_at, shared
+from esair.drivers._on_bus import shared
+from esair.drivers._on_chip import OnChip
 from esair.exceptions import DeviceFaultError
 from esair.resources import Sensor, SensorSettings, setting
 from esair.values import check_choice
@@ -78,7 +78,7 @@ class _Settings(SensorSettings, total=False):
     data_rate: int
 
 
-class Ads1115(Sensor[float]):
+class Ads1115(OnChip, Sensor[float]):
     """One input of an ADS1115, or the difference of two, in V.
 
     Several sensors may be on one chip; each converts in its turn. A voltage beyond the
@@ -89,7 +89,7 @@ class Ads1115(Sensor[float]):
         address: 0x48 to 0x4b, by the chip's pin ADDR.
     """
 
-    bus: I2CBus
+    addresses = range(0x48, 0x4C)
     full_scale: float = setting(
         4.096,
         unit="V",
@@ -110,8 +110,7 @@ class Ads1115(Sensor[float]):
         address: int = ADDRESS,
         **settings: Unpack[_Settings],
     ) -> None:
-        super().__init__(**settings)
-        self.address: int = check_address(self, address, range(0x48, 0x4C))
+        super().__init__(address=address, **settings)
         self.channel: str = str(channel)
         check_choice(self.name, "channel", self.channel, sorted(CHANNELS))
         self._full_scale: float = self.full_scale
@@ -119,19 +118,17 @@ class Ads1115(Sensor[float]):
 
     async def open(self) -> None:
         """Find out whether the chip answers; it needs nothing else."""
-        self._full_scale, self._data_rate = self.full_scale, self.data_rate
-        with expected_at(self, self.address):
+        await self._set_up(**self.settings)
+        with self._expected():
             await self.bus.read(self.address, CONFIG, 2)
 
-    async def apply(self, **changes: Any) -> None:
-        """Use other settings from the next conversion on."""
-        wanted = {**self.settings, **changes}
-        self._full_scale, self._data_rate = wanted["full_scale"], wanted["data_rate"]
+    async def _set_up(self, *, full_scale: float, data_rate: int, **_: Any) -> None:
+        """Use these settings from the next conversion on."""
+        self._full_scale, self._data_rate = full_scale, data_rate
 
     async def read(self) -> float:
         """Convert once and wait for it."""
-        bus = self.bus
-        chip = shared(bus, Chip).setdefault(self.address, Chip())
+        chip = shared(self.bus, Chip).setdefault(self.address, Chip())
         async with chip.turn:  # or another sensor would change what is converted
             if chip.under_way is not None:
                 # Whoever began it was cancelled. Until its end the chip begins no other,
@@ -140,9 +137,7 @@ class Ads1115(Sensor[float]):
             full_scale = self._full_scale
             config = config_for(self.channel, full_scale, self._data_rate)
             chip.under_way = self._data_rate
-            await bus.write(
-                self.address, CONFIG, config.to_bytes(2, "big"), idempotent=True
-            )
+            await self._put(CONFIG, *config.to_bytes(2, "big"))
             now = await self._end_of_conversion(chip, chip.under_way)
             if now & ~START != config & ~START:
                 raise DeviceFaultError(
@@ -150,7 +145,7 @@ class Ads1115(Sensor[float]):
                     f"CONFIG is {now:#06x} instead of {config:#06x}: the chip has "
                     "lost its power, or somebody else uses it",
                 )
-            block = await bus.read(self.address, CONVERSION, 2)
+            block = await self.bus.read(self.address, CONVERSION, 2)
             return decode_volts(block, full_scale)
 
     async def _end_of_conversion(self, chip: Chip, data_rate: int) -> int:

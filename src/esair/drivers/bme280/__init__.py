@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import asyncio
 import struct
-from typing import Any, Unpack
+from typing import Any, ClassVar, Unpack
 
 import attrs
 
-from esair.buses import I2CBus
-from esair.drivers._on_bus import check_address, expected_at
+from esair.drivers._on_chip import OnChip
 from esair.exceptions import DeviceFaultError
 from esair.resources import Sensor, SensorSettings, setting
 
@@ -31,9 +30,6 @@ DATA = 0xF7
 
 IDENTITY = 0x60
 """What ``ID`` holds."""
-
-BMP280 = {0x56, 0x57, 0x58}
-"""What the sensor without humidity has in its place."""
 
 MEASURING = 0x08
 UPDATING = 0x01
@@ -158,14 +154,16 @@ class _Settings(SensorSettings, total=False):
     smoothing: int
 
 
-class Bme280(Sensor[Climate]):
+class Bme280(OnChip, Sensor[Climate]):
     """A BME280 on an I²C bus, which measures when it is asked and sleeps else.
 
     Args:
         address: 0x76, or 0x77 if the chip's pin SDO is high.
     """
 
-    bus: I2CBus
+    addresses = range(0x76, 0x78)
+    identity_register = "ID", ID, IDENTITY
+    others: ClassVar = dict.fromkeys((0x56, 0x57, 0x58), "a BMP280, without humidity")
     rate: float = setting(
         1.0, unit="Hz", min=0.001, max=50.0, doc="how often it is asked"
     )
@@ -184,31 +182,20 @@ class Bme280(Sensor[Climate]):
     def __init__(
         self, *, address: int = ADDRESS, **settings: Unpack[_Settings]
     ) -> None:
-        super().__init__(**settings)
-        self.address: int = check_address(self, address, range(0x76, 0x78))
+        super().__init__(address=address, **settings)
         self._calibration: Calibration | None = None
         self._told = 1, 0
         """What it was told: how many samples, and how smoothly, as its codes."""
 
     async def open(self) -> None:
         """Check that it is the chip, read its calibration and set it up."""
-        with expected_at(self, self.address):
-            found = await self._get(ID)
-        if found != IDENTITY:
-            what = "a BMP280, without humidity" if found in BMP280 else "another chip"
-            raise DeviceFaultError(
-                self.name, f"ID is {found:#04x} instead of {IDENTITY:#04x}: {what}"
-            )
+        await self._identify()
         await self._until_not(UPDATING, "does not come up")
         self._calibration = Calibration.decode(
             await self.bus.read(self.address, CALIBRATION_00, 26),
             await self.bus.read(self.address, CALIBRATION_26, 7),
         )
-        await self._configure(**self.settings)
-
-    async def apply(self, **changes: Any) -> None:
-        """Set the chip up."""
-        await self._configure(**{**self.settings, **changes})
+        await self._set_up(**self.settings)
 
     async def read(self) -> Climate:
         """Measure once and wait for it."""
@@ -236,19 +223,13 @@ class Bme280(Sensor[Climate]):
         humidity, smoothing = await self._get(CTRL_HUM), await self._get(CONFIG)
         return self._told == (humidity & 0x07, smoothing >> 2 & 0x07)
 
-    async def _configure(self, *, oversampling: int, smoothing: int, **_: Any) -> None:
+    async def _set_up(self, *, oversampling: int, smoothing: int, **_: Any) -> None:
         told = _OVERSAMPLING.index(oversampling) + 1, _FILTER.index(smoothing)
         # Both count from the next measurement on; asleep, the chip takes all.
         await self._put(CTRL_MEAS, 0)
         await self._put(CTRL_HUM, told[0])
         await self._put(CONFIG, told[1] << 2)
         self._told = told
-
-    async def _get(self, register: int) -> int:
-        return (await self.bus.read(self.address, register))[0]
-
-    async def _put(self, register: int, value: int) -> None:
-        await self.bus.write(self.address, register, bytes([value]), idempotent=True)
 
     async def _until_not(self, bit: int, what: str) -> None:
         for _ in range(_PATIENCE):

@@ -5,25 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from esair.buses.i2c import Registers
-from esair.drivers.bme280 import (
-    CALIBRATION_00,
-    CALIBRATION_26,
-    CONFIG,
-    CTRL_HUM,
-    CTRL_MEAS,
-    DATA,
-    ID,
-    IDENTITY,
-    MEASURING,
-    SKIPPED,
-    SKIPPED_HUMIDITY,
-    STATUS,
-    Calibration,
-    Climate,
-    fine_temperature,
-    humidity_of,
-    pressure_of,
-)
+from esair.drivers import bme280
+from esair.drivers.bme280 import Calibration, Climate
 
 INDOORS = Climate(temperature=21.0, humidity=0.45, pressure=101325.0)
 """What the chip feels unless it is told otherwise."""
@@ -62,7 +45,13 @@ class FakeBme280(Registers):
         self.busy = 1
         self.measurements: int = 0
         first, second = calibration.encode()
-        super().__init__({ID: IDENTITY, CALIBRATION_00: first, CALIBRATION_26: second})
+        super().__init__(
+            {
+                bme280.ID: bme280.IDENTITY,
+                bme280.CALIBRATION_00: first,
+                bme280.CALIBRATION_26: second,
+            }
+        )
         self.power_cycle()
 
     def power_cycle(self) -> None:
@@ -70,12 +59,12 @@ class FakeBme280(Registers):
         super().power_cycle()
         self._samples_humidity = False
         self._busy = 0
-        self._show(SKIPPED, SKIPPED, SKIPPED_HUMIDITY)
+        self._show(bme280.SKIPPED, bme280.SKIPPED, bme280.SKIPPED_HUMIDITY)
 
     def read(self, register: int, length: int) -> bytes:
         """Return registers that follow one another."""
-        if register <= STATUS < register + length:
-            self.content[STATUS] = MEASURING if self._busy > 0 else 0
+        if register <= bme280.STATUS < register + length:
+            self.content[bme280.STATUS] = bme280.MEASURING if self._busy > 0 else 0
             self._busy -= 1
         return super().read(register, length)
 
@@ -89,11 +78,11 @@ class FakeBme280(Registers):
         """Set one register, and do what it tells."""
         if register == _RESET and value == 0xB6:
             self.power_cycle()
-        elif register in {CTRL_HUM, CONFIG}:
+        elif register in {bme280.CTRL_HUM, bme280.CONFIG}:
             self.content[register] = value
-        elif register == CTRL_MEAS:
+        elif register == bme280.CTRL_MEAS:
             # What was written to CTRL_HUM counts from here on.
-            self._samples_humidity = bool(self.content[CTRL_HUM] & 7)
+            self._samples_humidity = bool(self.content[bme280.CTRL_HUM] & 7)
             self.content[register] = value
             if value & 3:
                 self._measure(bool(value >> 5), bool(value >> 2 & 7))
@@ -105,15 +94,15 @@ class FakeBme280(Registers):
         self._busy = self.busy
         p, t, h = self.raw or self._raw_of(self.climate)
         self._show(
-            p if pressure else SKIPPED,
-            t if temperature else SKIPPED,
-            h if self._samples_humidity else SKIPPED_HUMIDITY,
+            p if pressure else bme280.SKIPPED,
+            t if temperature else bme280.SKIPPED,
+            h if self._samples_humidity else bme280.SKIPPED_HUMIDITY,
         )
 
     def _show(self, pressure: int, temperature: int, humidity: int) -> None:
         raw = pressure << 4, temperature << 4
         words = b"".join(each.to_bytes(3, "big") for each in raw)
-        self.fill({DATA: words + humidity.to_bytes(2, "big")})
+        self.fill({bme280.DATA: words + humidity.to_bytes(2, "big")})
 
     def _raw_of(self, climate: Climate) -> tuple[int, int, int]:
         known = self.calibration
@@ -122,10 +111,16 @@ class FakeBme280(Registers):
             climate.pressure,
             climate.humidity,
         )
-        t = _first(1 << 20, lambda raw: fine_temperature(raw, known) >= wanted * 5120)
-        fine = fine_temperature(t, known)
-        p = _first(1 << 20, lambda raw: pressure_of(raw, fine, known) <= pressure)
-        h = _first(1 << 16, lambda raw: humidity_of(raw, fine, known) >= humidity)
+        t = _first(
+            1 << 20, lambda raw: bme280.fine_temperature(raw, known) >= wanted * 5120
+        )
+        fine = bme280.fine_temperature(t, known)
+        p = _first(
+            1 << 20, lambda raw: bme280.pressure_of(raw, fine, known) <= pressure
+        )
+        h = _first(
+            1 << 16, lambda raw: bme280.humidity_of(raw, fine, known) >= humidity
+        )
         return p, t, h
 
 

@@ -30,18 +30,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, Unpack
 
 import attrs
 
-from esair.buses import open_on, shut_on
-from esair.buses.finding import (
-    ROOT,
-    Device,
-    entries,
-    identity_of,
-    permission,
-    pick,
-    quoted,
-    read,
-    usb_device,
-)
+from esair.buses import finding, open_on, shut_on
+from esair.buses.finding import ROOT, Device
 from esair.exceptions import (
     ConfigError,
     DeviceFaultError,
@@ -66,9 +56,9 @@ def devices(root: Path = ROOT) -> list[Device]:
     """
     return [
         _camera(place, root)
-        for place in entries(root / "sys/class/video4linux")
+        for place in finding.entries(root / "sys/class/video4linux")
         if place.name.removeprefix("video").isdecimal()
-        and read(place / "index") in {"", "0"}
+        and finding.read(place / "index") in {"", "0"}
     ]
 
 
@@ -77,7 +67,7 @@ def toml(device: Device, name: str) -> list[str]:
     return [
         f"[sensor.{name}]",
         'driver = "camera"',
-        f"device = {quoted(device.address)}",
+        f"device = {finding.quoted(device.address)}",
         "width = 640",
         "height = 480",
     ]
@@ -85,20 +75,20 @@ def toml(device: Device, name: str) -> list[str]:
 
 def find_camera(wanted: str, root: Path = ROOT) -> str:
     """Return the path of a camera; what is wanted, and errors, are those of `pick`."""
-    return pick(wanted, devices(root), "camera")
+    return finding.pick(wanted, devices(root), "camera")
 
 
 def _camera(place: Path, root: Path) -> Device:
-    identity = identity_of(usb_device(place / "device", root))
+    identity = finding.identity_of(finding.usb_device(place / "device", root))
     path = f"/dev/{place.name}"
-    name = read(place / "name")
+    name = finding.read(place / "name")
     return Device(
         kind="camera",
         path=path,
         address=identity or name or path,
         description=name,
         identity=identity,
-        state=permission(root / path.removeprefix("/")),
+        state=finding.permission(root / path.removeprefix("/")),
     )
 
 

@@ -15,19 +15,7 @@ from typing import Final
 from esair.buses import CanBus, Exchanges, Frame
 from esair.buses.can import Mask
 from esair.drivers._on_bus import shared
-from esair.drivers.dbc._j1939 import (
-    ABORT,
-    ANNOUNCE,
-    BAM,
-    BROADCAST_FORMATS,
-    CTS,
-    DONE,
-    MOST,
-    PACKETS,
-    RTS,
-    SOURCE,
-    group_of,
-)
+from esair.drivers.dbc import _j1939 as j1939
 from esair.exceptions import DeviceFaultError, EsairError
 from esair.loop import spawn
 
@@ -63,7 +51,7 @@ def seconds_for(size: int, frame_id: int) -> float:
 
 def destination_of(frame_id: int) -> int:
     """Return the address that a message is for."""
-    is_to_one = frame_id >> 16 & 0xFF < BROADCAST_FORMATS
+    is_to_one = frame_id >> 16 & 0xFF < j1939.BROADCAST_FORMATS
     return frame_id >> 8 & 0xFF if is_to_one else ALL
 
 
@@ -89,33 +77,35 @@ class Sender:
             exchange.end()
 
     async def _announce(self, frame_id: int, data: bytes) -> None:
-        await self._control(frame_id, ALL, BAM, head(data) + b"\xff")
+        await self._control(frame_id, ALL, j1939.BAM, head(data) + b"\xff")
         for number in range(1, -(-len(data) // SIZE) + 1):
             await asyncio.sleep(GAP)
             await self._packet(frame_id, ALL, data, number)
 
     async def _connect(self, frame_id: int, data: bytes, destination: int) -> None:
-        back = ANNOUNCE << 16 | (frame_id & SOURCE) << 8 | destination
-        group = group_of(frame_id).to_bytes(3, "little")
+        back = j1939.ANNOUNCE << 16 | (frame_id & j1939.SOURCE) << 8 | destination
+        group = j1939.group_of(frame_id).to_bytes(3, "little")
         with self._there().frames(
             Mask(back, 0x03FF_FFFF), extended=True, length=8, limit=64
         ) as answers:
             try:
-                await self._control(frame_id, destination, RTS, head(data) + b"\xff")
+                await self._control(
+                    frame_id, destination, j1939.RTS, head(data) + b"\xff"
+                )
                 sent, patience = 0, ANSWER
                 while True:
                     answer = await answers.take(timeout=patience)
                     if answer.data[5:] != group:
                         continue  # about another message
                     kind, patience = answer.data[0], ANSWER
-                    if kind == ABORT:
+                    if kind == j1939.ABORT:
                         reason = WHY.get(answer.data[1], f"reason {answer.data[1]}")
                         raise DeviceFaultError("J1939", f"node {destination}: {reason}")
-                    if kind == DONE and sent * SIZE >= len(data):
+                    if kind == j1939.DONE and sent * SIZE >= len(data):
                         return
-                    if kind == CTS and answer.data[1] == 0:
+                    if kind == j1939.CTS and answer.data[1] == 0:
                         patience = HOLD
-                    elif kind == CTS:
+                    elif kind == j1939.CTS:
                         wanted = self._wanted(answer, len(data))
                         for number in wanted:
                             await self._packet(frame_id, destination, data, number)
@@ -130,7 +120,7 @@ class Sender:
         if first < 1 or (wanted.stop - 1) * SIZE >= size + SIZE:
             raise DeviceFaultError(
                 "J1939",
-                f"node {answer.id & SOURCE} asks for {count} packets from {first} on, "
+                f"node {answer.id & j1939.SOURCE} asks for {count} packets from {first} on, "
                 "which there are not",
             )
         return wanted
@@ -145,20 +135,24 @@ class Sender:
 
     async def _say_abort(self, frame_id: int, destination: int) -> None:
         with contextlib.suppress(EsairError):
-            await self._control(frame_id, destination, ABORT, b"\x03\xff\xff\xff")
+            await self._control(frame_id, destination, j1939.ABORT, b"\x03\xff\xff\xff")
 
     async def _control(
         self, frame_id: int, destination: int, kind: int, rest: bytes
     ) -> None:
-        group = group_of(frame_id).to_bytes(3, "little")
-        number = 7 << 26 | ANNOUNCE << 16 | destination << 8 | frame_id & SOURCE
+        group = j1939.group_of(frame_id).to_bytes(3, "little")
+        number = (
+            7 << 26 | j1939.ANNOUNCE << 16 | destination << 8 | frame_id & j1939.SOURCE
+        )
         await self._there().send(number, bytes([kind]) + rest + group, extended=True)
 
     async def _packet(
         self, frame_id: int, destination: int, data: bytes, number: int
     ) -> None:
         piece = data[SIZE * (number - 1) : SIZE * number].ljust(SIZE, b"\xff")
-        target = 7 << 26 | PACKETS << 16 | destination << 8 | frame_id & SOURCE
+        target = (
+            7 << 26 | j1939.PACKETS << 16 | destination << 8 | frame_id & j1939.SOURCE
+        )
         await self._there().send(target, bytes([number]) + piece, extended=True)
 
     def _there(self) -> CanBus:
@@ -169,12 +163,12 @@ class Sender:
 
 def head(data: bytes) -> bytes:
     """Return the length of a message, and how many packets it has."""
-    assert SIZE < len(data) <= MOST
+    assert SIZE < len(data) <= j1939.MOST
     return len(data).to_bytes(2, "little") + bytes([-(-len(data) // SIZE)])
 
 
 async def send_in_packets(bus: CanBus, frame_id: int, data: bytes) -> None:
     """Send a message of more than 8 bytes; between two addresses one at a time."""
-    ends = frame_id & SOURCE, destination_of(frame_id)
+    ends = frame_id & j1939.SOURCE, destination_of(frame_id)
     sender = shared(bus, Sender).setdefault(ends, Sender(bus))
     await sender.send(frame_id, data)

@@ -7,21 +7,7 @@ from typing import Final, NamedTuple
 
 from esair.buses import Frame
 from esair.buses.can import FakeCan
-from esair.drivers.dbc._j1939 import (
-    ABORT,
-    ALL,
-    ANNOUNCE,
-    BAM,
-    CLAIM,
-    CLAIMS,
-    CTS,
-    DONE,
-    PACKETS,
-    REQUESTS,
-    RTS,
-    SOURCE,
-    asks_for_claims,
-)
+from esair.drivers.dbc import _j1939 as j1939
 from esair.drivers.dbc._packets import SIZE
 
 REQUEST: Final = 0x18EA_0000
@@ -96,11 +82,11 @@ class FakeJ1939Node:
     def claim(self) -> None:
         """Claim its address, as after power-up."""
         assert self.name is not None
-        self._say(CLAIM | self.address, self.name.to_bytes(8, "little"))
+        self._say(j1939.CLAIM | self.address, self.name.to_bytes(8, "little"))
 
     def ask_for_claims(self) -> None:
         """Ask all nodes for their claims."""
-        self._say(REQUEST | ALL << 8 | self.address, b"\x00\xee\x00")
+        self._say(REQUEST | j1939.ALL << 8 | self.address, b"\x00\xee\x00")
 
     def power_cycle(self) -> None:
         """Lose the power for a moment, and what was under way with it."""
@@ -110,34 +96,34 @@ class FakeJ1939Node:
         """Take a frame from the bus."""
         if self.is_silent or not frame.extended:
             return
-        source, data = frame.id & SOURCE, frame.data
-        if frame.id & CLAIMS.mask == CLAIMS.id:
+        source, data = frame.id & j1939.SOURCE, frame.data
+        if frame.id & j1939.CLAIMS.mask == j1939.CLAIMS.id:
             name = int.from_bytes(data, "little")
             self.claims.append((source, name))
             if source == self.address and self.name is not None and self.name < name:
                 self.claim()
-        elif frame.id & REQUESTS.mask == REQUESTS.id:
-            if self.name is not None and asks_for_claims(frame, self.address):
+        elif frame.id & j1939.REQUESTS.mask == j1939.REQUESTS.id:
+            if self.name is not None and j1939.asks_for_claims(frame, self.address):
                 self.claim()
-        elif frame.id >> 8 & 0xFF in {self.address, ALL}:
-            if frame.id >> 16 & 0xFF == ANNOUNCE:
+        elif frame.id >> 8 & 0xFF in {self.address, j1939.ALL}:
+            if frame.id >> 16 & 0xFF == j1939.ANNOUNCE:
                 self._announced(source, data)
-            elif frame.id >> 16 & 0xFF == PACKETS and source in self._begun:
+            elif frame.id >> 16 & 0xFF == j1939.PACKETS and source in self._begun:
                 self._packet(source, data)
 
     def _announced(self, source: int, data: bytes) -> None:
         self._begun.pop(source, None)
-        if data[0] not in {RTS, BAM}:
+        if data[0] not in {j1939.RTS, j1939.BAM}:
             return
-        if data[0] == RTS and self.reason:
-            self._answer(source, ABORT, bytes([self.reason]), data[5:])
+        if data[0] == j1939.RTS and self.reason:
+            self._answer(source, j1939.ABORT, bytes([self.reason]), data[5:])
             return
         size = int.from_bytes(data[1:3], "little")
         group = int.from_bytes(data[5:], "little")
-        self._begun[source] = Begun(size, group, data[0] == BAM, {})
-        if data[0] == RTS:
+        self._begun[source] = Begun(size, group, data[0] == j1939.BAM, {})
+        if data[0] == j1939.RTS:
             for _ in range(self.waits):
-                self._answer(source, CTS, b"\0\xff", data[5:])
+                self._answer(source, j1939.CTS, b"\0\xff", data[5:])
             self._want(source)
 
     def _packet(self, source: int, data: bytes) -> None:
@@ -155,7 +141,7 @@ class FakeJ1939Node:
             if begun.is_to_all:
                 return
             done = begun.size.to_bytes(2, "little") + bytes([count])
-            self._answer(source, DONE, done, begun.group.to_bytes(3, "little"))
+            self._answer(source, j1939.DONE, done, begun.group.to_bytes(3, "little"))
         elif data[0] == self._last and not begun.is_to_all:
             self._want(source)
 
@@ -167,11 +153,11 @@ class FakeJ1939Node:
         wanted = min(self.window, count + 1 - first)
         self._last = first + wanted - 1
         group = begun.group.to_bytes(3, "little")
-        self._answer(source, CTS, bytes([wanted, first]), group)
+        self._answer(source, j1939.CTS, bytes([wanted, first]), group)
 
     def _answer(self, source: int, kind: int, rest: bytes, group: bytes) -> None:
         data = (bytes([kind]) + rest).ljust(5, b"\xff") + group
-        number = 7 << 26 | ANNOUNCE << 16 | source << 8 | self.address
+        number = 7 << 26 | j1939.ANNOUNCE << 16 | source << 8 | self.address
         self._say(number, data)
 
     def _say(self, number: int, data: bytes) -> None:

@@ -12,8 +12,7 @@ from typing import Any, Unpack
 
 import attrs
 
-from esair.buses import I2CBus
-from esair.drivers._on_bus import check_address, expected_at
+from esair.drivers._on_chip import OnChip
 from esair.exceptions import DeviceFaultError
 from esair.resources import Sensor, SensorSettings, setting
 
@@ -89,7 +88,7 @@ class _Settings(SensorSettings, total=False):
     accel_range: int
 
 
-class Mpu6050(Sensor[Motion]):
+class Mpu6050(OnChip, Sensor[Motion]):
     """An MPU-6050 on an I²C bus.
 
     At each opening its identity is checked and it is woken and scaled.
@@ -98,7 +97,8 @@ class Mpu6050(Sensor[Motion]):
         address: 0x68, or 0x69 if the chip's pin AD0 is high.
     """
 
-    bus: I2CBus
+    addresses = range(0x68, 0x6A)
+    identity_register = "WHO_AM_I", WHO_AM_I, IDENTITY
     rate: float = setting(
         50.0, unit="Hz", min=1.0, max=200.0, doc="how often it is asked"
     )
@@ -116,28 +116,14 @@ class Mpu6050(Sensor[Motion]):
     def __init__(
         self, *, address: int = ADDRESS, **settings: Unpack[_Settings]
     ) -> None:
-        super().__init__(**settings)
-        self.address: int = check_address(self, address, range(0x68, 0x6A))
+        super().__init__(address=address, **settings)
         self._gyro_step = self._accel_step = 0
 
     async def open(self) -> None:
         """Check that it is the chip, wake it and set its ranges."""
-        bus = self.bus
-        with expected_at(self, self.address):
-            found = (await bus.read(self.address, WHO_AM_I))[0]
-        if found != IDENTITY:
-            raise DeviceFaultError(
-                self.name,
-                f"WHO_AM_I is {found:#04x} instead of {IDENTITY:#04x}: another chip",
-            )
-        await bus.write(
-            self.address, PWR_MGMT_1, bytes([CLOCK_FROM_GYRO]), idempotent=True
-        )
-        await self._scale(**self.settings)
-
-    async def apply(self, **changes: Any) -> None:
-        """Set the ranges in the chip."""
-        await self._scale(**{**self.settings, **changes})
+        await self._identify()
+        await self._put(PWR_MGMT_1, CLOCK_FROM_GYRO)
+        await self._set_up(**self.settings)
 
     async def read(self) -> Motion:
         """Read all axes at one moment, in one transfer."""
@@ -150,14 +136,13 @@ class Mpu6050(Sensor[Motion]):
 
     async def is_set_up(self) -> bool:
         """Tell whether it is awake and has its ranges, which a restart forgets."""
-        power = (await self.bus.read(self.address, PWR_MGMT_1))[0]
+        power = await self._get(PWR_MGMT_1)
         ranges = await self.bus.read(self.address, GYRO_CONFIG, 2)
         told = bytes([self._gyro_step << 3, self._accel_step << 3])
         return power == CLOCK_FROM_GYRO and ranges == told
 
-    async def _scale(self, *, gyro_range: int, accel_range: int, **_: Any) -> None:
+    async def _set_up(self, *, gyro_range: int, accel_range: int, **_: Any) -> None:
         gyro_step = (250, 500, 1000, 2000).index(gyro_range)
         accel_step = (2, 4, 8, 16).index(accel_range)
-        told = bytes([gyro_step << 3, accel_step << 3])
-        await self.bus.write(self.address, GYRO_CONFIG, told, idempotent=True)
+        await self._put(GYRO_CONFIG, gyro_step << 3, accel_step << 3)
         self._gyro_step, self._accel_step = gyro_step, accel_step

@@ -5,24 +5,14 @@ from __future__ import annotations
 from types import MappingProxyType
 
 from esair.buses.i2c import Registers
-from esair.drivers.mpu6050 import (
-    ACCEL_CONFIG,
-    ACCEL_XOUT_H,
-    GRAVITY,
-    GYRO_CONFIG,
-    IDENTITY,
-    PWR_MGMT_1,
-    SLEEP,
-    WHO_AM_I,
-    Motion,
-    encode_motion,
-)
+from esair.drivers import mpu6050
+from esair.drivers.mpu6050 import Motion
 
-AT_REST = Motion((0.0, 0.0, GRAVITY), (0.0, 0.0, 0.0), 25.0)
+AT_REST = Motion((0.0, 0.0, mpu6050.GRAVITY), (0.0, 0.0, 0.0), 25.0)
 """What the chip feels on a table."""
 
 _RESET = 0x80
-_READ_ONLY = {WHO_AM_I, *range(ACCEL_XOUT_H, ACCEL_XOUT_H + 14)}
+_READ_ONLY = {mpu6050.WHO_AM_I, *range(mpu6050.ACCEL_XOUT_H, mpu6050.ACCEL_XOUT_H + 14)}
 
 
 class FakeMpu6050(Registers):
@@ -34,7 +24,7 @@ class FakeMpu6050(Registers):
 
     size = 128
     power_up: MappingProxyType[int, int | bytes] = MappingProxyType(
-        {WHO_AM_I: IDENTITY, PWR_MGMT_1: SLEEP}
+        {mpu6050.WHO_AM_I: mpu6050.IDENTITY, mpu6050.PWR_MGMT_1: mpu6050.SLEEP}
     )
 
     def __init__(self, motion: Motion = AT_REST) -> None:
@@ -44,7 +34,7 @@ class FakeMpu6050(Registers):
     @property
     def asleep(self) -> bool:
         """Whether it measures nothing."""
-        return bool(self.content[PWR_MGMT_1] & SLEEP)
+        return bool(self.content[mpu6050.PWR_MGMT_1] & mpu6050.SLEEP)
 
     @property
     def motion(self) -> Motion:
@@ -58,7 +48,7 @@ class FakeMpu6050(Registers):
 
     def set(self, register: int, value: int) -> None:
         """Set one register; those that only the chip sets stay as they are."""
-        if register == PWR_MGMT_1 and value & _RESET:
+        if register == mpu6050.PWR_MGMT_1 and value & _RESET:
             self.power_cycle()
         elif register not in _READ_ONLY:
             self.content[register] = value
@@ -67,7 +57,9 @@ class FakeMpu6050(Registers):
     def _measure(self) -> None:
         if not self.asleep:
             steps = (
-                self.content[ACCEL_CONFIG] >> 3 & 3,
-                self.content[GYRO_CONFIG] >> 3 & 3,
+                self.content[mpu6050.ACCEL_CONFIG] >> 3 & 3,
+                self.content[mpu6050.GYRO_CONFIG] >> 3 & 3,
             )
-            self.fill({ACCEL_XOUT_H: encode_motion(self._motion, *steps)})
+            self.fill(
+                {mpu6050.ACCEL_XOUT_H: mpu6050.encode_motion(self._motion, *steps)}
+            )

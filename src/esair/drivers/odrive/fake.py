@@ -6,19 +6,8 @@ import asyncio
 
 from esair.buses import Frame
 from esair.buses.can import FakeCan
-from esair.drivers.odrive import (
-    AxisError,
-    AxisState,
-    ControlMode,
-    FrameError,
-    Heartbeat,
-    Message,
-    decode,
-    decode_input,
-    encode_estimates,
-    encode_heartbeat,
-    frame_id,
-)
+from esair.drivers import odrive
+from esair.drivers.odrive import AxisError, AxisState, ControlMode, Message
 
 HEARTBEAT_PERIOD = 0.1  # Between two heartbeats, in seconds
 ESTIMATE_PERIOD = 0.01  # Between two estimates of its encoder, in seconds
@@ -121,14 +110,14 @@ class FakeOdrive:
             return
         try:
             self._obey(Message(frame.id & 0x1F), frame.data)
-        except FrameError:
+        except odrive.FrameError:
             self.bad_frames += 1
         except ValueError:
             return  # a message that it does not know
 
     def _obey(self, message: Message, data: bytes) -> None:
         if message is Message.SET_AXIS_STATE:
-            state = AxisState(*decode(message, data))
+            state = AxisState(*odrive.decode(message, data))
             self.requests.append(state)
             if state is AxisState.CLOSED_LOOP_CONTROL and (
                 self.errors or self.refuses_to_arm
@@ -138,7 +127,7 @@ class FakeOdrive:
             self._fed = self._loop.time()
             self.velocity = 0.0
         elif message is Message.SET_CONTROLLER_MODE:
-            self.mode = ControlMode(decode(message, data)[0])
+            self.mode = ControlMode(odrive.decode(message, data)[0])
             self._go()
         elif message is Message.CLEAR_ERRORS:
             self.cleared += 1
@@ -146,7 +135,7 @@ class FakeOdrive:
         elif message is Message.ESTOP:
             self.fail(AxisError.ESTOP_REQUESTED)
         else:
-            self.inputs.append(decode_input(message, data))
+            self.inputs.append(odrive.decode_input(message, data))
             self._fed = self._loop.time()
             if not self.is_armed:
                 return
@@ -164,7 +153,8 @@ class FakeOdrive:
     def _beat(self) -> None:
         self._timers["heartbeat"] = self._loop.call_later(HEARTBEAT_PERIOD, self._beat)
         self._tell(
-            Message.HEARTBEAT, encode_heartbeat(Heartbeat(self.errors, self.state))
+            Message.HEARTBEAT,
+            odrive.encode_heartbeat(odrive.Heartbeat(self.errors, self.state)),
         )
 
     def _estimate(self) -> None:
@@ -177,8 +167,8 @@ class FakeOdrive:
             self.fail(AxisError.WATCHDOG_TIMER_EXPIRED)
         self._tell(
             Message.GET_ENCODER_ESTIMATES,
-            encode_estimates(self.position, self.velocity),
+            odrive.encode_estimates(self.position, self.velocity),
         )
 
     def _tell(self, message: Message, data: bytes) -> None:
-        self._can.feed(frame_id(self.node, message), data)
+        self._can.feed(odrive.frame_id(self.node, message), data)

@@ -12,8 +12,9 @@ from typing import Any, Required, TypeVar, Unpack
 
 import attrs
 
-from esair.buses import I2CBus, RegisterLink
-from esair.drivers._on_bus import check_address, expected_at, shared
+from esair.buses import RegisterLink
+from esair.drivers._on_bus import shared
+from esair.drivers._on_chip import OnChip
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.resources import Actuator, ActuatorSettings
 from esair.values import check_whole
@@ -22,9 +23,6 @@ from esair.watchdog import SafeFrames
 __all__ = ["PwmChannel"]
 
 T = TypeVar("T")
-
-ADDRESSES = range(0x40, 0x78)
-"""What the pins A0 to A5 give, without what no chip may have."""
 
 MODE1 = 0x00
 MODE2 = 0x01
@@ -96,10 +94,10 @@ class ChannelSettings(ActuatorSettings, total=False):
     frequency: float
 
 
-class OnChannel(Actuator[T]):
+class OnChannel(OnChip, Actuator[T]):
     """What all that is on a channel has in common."""
 
-    bus: I2CBus
+    addresses = range(0x40, 0x78)  # what the pins A0 to A5 give
 
     def __init__(
         self,
@@ -109,8 +107,7 @@ class OnChannel(Actuator[T]):
         frequency: float = 50.0,
         **settings: Unpack[ActuatorSettings],
     ) -> None:
-        super().__init__(**settings)
-        self.address: int = check_address(self, address, ADDRESSES)
+        super().__init__(address=address, **settings)
         self.channel: int = check_whole(self.name, "channel", channel, 0, 15)
         if not 24.0 <= frequency <= 1526.0:
             raise ConfigError(
@@ -124,9 +121,9 @@ class OnChannel(Actuator[T]):
     async def open(self) -> None:
         """Set the chip up unless it is, and turn the output off."""
         self._take_channel()
-        with expected_at(self, self.address):
+        with self._expected():
             found = await self.bus.transaction(
-                self._set_up, address=self.address, idempotent=True
+                self._wake, address=self.address, idempotent=True
             )
         if found != prescale(self.frequency):
             raise DeviceFaultError(
@@ -195,7 +192,7 @@ class OnChannel(Actuator[T]):
         chip.channels[self.channel] = self
         self._chip = chip
 
-    def _set_up(self, link: RegisterLink) -> int:
+    def _wake(self, link: RegisterLink) -> int:
         """Wake the chip and set its frequency, if nobody has; that stops all channels."""
         address, wanted = self.address, prescale(self.frequency)
         found = link.read_byte_data(address, PRE_SCALE)

@@ -6,22 +6,8 @@ import math
 from collections.abc import Callable
 
 from esair.buses.serial import FakeSerial
-from esair.drivers.rplidar import (
-    GET_HEALTH,
-    GET_INFO,
-    HEALTH_DESCRIPTOR,
-    INFO_DESCRIPTOR,
-    SCAN,
-    SCAN_DESCRIPTOR,
-    START,
-    STOP,
-    Health,
-    Info,
-    Scan,
-    encode_health,
-    encode_info,
-    encode_scan,
-)
+from esair.drivers import rplidar
+from esair.drivers.rplidar import Health, Info, Scan
 
 BEAMS = 90
 """How many directions a turn has."""
@@ -67,10 +53,10 @@ class FakeRpLidar:
             return b""
         data = self._rest + data
         answers = b""
-        while (begin := data.find(START)) >= 0 and len(data) >= begin + 2:
+        while (begin := data.find(rplidar.START)) >= 0 and len(data) >= begin + 2:
             answers += self._obey(data[begin + 1])
             data = data[begin + 2 :]
-        self._rest = data[-1:] if data.endswith(bytes([START])) else b""
+        self._rest = data[-1:] if data.endswith(bytes([rplidar.START])) else b""
         return answers
 
     def power_cycle(self) -> None:
@@ -84,7 +70,7 @@ class FakeRpLidar:
             return b""
         angles = [-math.tau * beam / BEAMS for beam in range(BEAMS)]
         angles = [angle if angle > -math.pi else angle + math.tau for angle in angles]
-        return encode_scan(
+        return rplidar.encode_scan(
             Scan(
                 tuple(angles),
                 tuple(self.distance(angle) for angle in angles),
@@ -94,13 +80,13 @@ class FakeRpLidar:
 
     def _obey(self, command: int) -> bytes:
         self.requests.append(command)
-        if command == STOP:
+        if command == rplidar.STOP:
             self.scanning = False
-        elif command == SCAN:
+        elif command == rplidar.SCAN:
             self.scanning = True
-            return SCAN_DESCRIPTOR
-        elif command == GET_INFO:
-            return INFO_DESCRIPTOR + encode_info(self.info)
-        elif command == GET_HEALTH:
-            return HEALTH_DESCRIPTOR + encode_health(self.health)
+            return rplidar.SCAN_DESCRIPTOR
+        elif command == rplidar.GET_INFO:
+            return rplidar.INFO_DESCRIPTOR + rplidar.encode_info(self.info)
+        elif command == rplidar.GET_HEALTH:
+            return rplidar.HEALTH_DESCRIPTOR + rplidar.encode_health(self.health)
         return b""
