@@ -3,6 +3,7 @@
 import contextlib
 import os
 import pty
+import struct
 import threading
 import time
 import tty
@@ -263,9 +264,11 @@ def beating(beat: bytes) -> Iterator[str]:
         os.close(other)
 
 
-@pytest.mark.parametrize("beat", [b"b\x03" + bytes(24), b"B\0[7, 0]"])
+@pytest.mark.parametrize(
+    "beat", [b"b\x04" + bytes(24), b"B\0[7, 0]", b"B\0[1, 500, 25]"]
+)
 def test_a_board_of_another_version_is_refused_in_one_sentence(beat) -> None:
-    """By `monitor`, too: in bytes, and in JSON."""
+    """By `monitor`, too: of the next version, and of the first."""
     with (
         beating(beat) as port,
         pytest.raises(ConfigError, match=r"speaks version \d of the link, this"),
@@ -274,13 +277,13 @@ def test_a_board_of_another_version_is_refused_in_one_sentence(beat) -> None:
 
 
 def test_a_board_of_the_version_before_is_watched() -> None:
-    """Its beats are JSON."""
-    state = '[1, 500, 25, 0, 3, 1, "imu: OSError()", 900, "watchdog", true, 0, [], []]'
+    """Its beats have the number before, and are the same."""
+    state = struct.pack("<BBBBHIIIIHH", 98, 2, 1, 255, 0, 500, 0, 3, 1, 0, 0)
     told: list[object] = []
-    with beating(b"B\0" + state.encode()) as port:
+    with beating(state + b"imu: OSError()") as port:
         firmware.monitor(port, told.append, seconds=0.5)
 
     assert told == [
-        "esair: started by watchdog, armed, 0 late, 3 refused, 1 faults, "
+        "esair: started by another cause, armed, 0 late, 3 refused, 1 faults, "
         "last: imu: OSError()"
     ]

@@ -2,12 +2,15 @@
 
 import json
 import shutil
+import struct
 from pathlib import Path
 
 import pytest
 from tests.minimal.hw.board import Board, why_not
 
 from esair import minimal
+from esair.boards import link
+from esair.drivers.board.wire import Wire, stuffed
 
 pytestmark = [pytest.mark.long, pytest.mark.real_clock, pytest.mark.promise("MIN-1")]
 
@@ -118,7 +121,7 @@ print(json.dumps(found))
 """
 
 LINK = """import gc, json, time
-from binascii import crc32
+from binascii import unhexlify
 from esair.boards import link
 from esair.boards.line import Line
 from esair.minimal import Actuator, Loop, Reaction, Sensor, guards, reads, writes
@@ -159,52 +162,35 @@ class Cruise(Reaction):
     def react(self, light):
         return self.go
 
-def stuffed(payload):
-    data = payload + (crc32(payload) & 0xFFFFFFFF).to_bytes(4, "little")
-    found = bytearray()
-    for piece in data.split(b"\\0"):
-        found += bytes([len(piece) + 1]) + piece
-    return bytes(found + b"\\0")
-
 import io
 YES = (1,)
 sent = [0]
 come, out = io.BytesIO(), io.BytesIO()
 came = takes = {0: YES}.get
 read, write = come.readinto, out.write
-BEAT, ARMED = stuffed(bytes([104, 2, 3])), stuffed(bytes([104, 2, 2]))
-buffer = bytearray(64)
-GO = stuffed(b"w\\0" + bytes(buffer[: link.packed(buffer, 0, (0.4, 0.4))]))
+def also(actuator):
+    kind = type("Also", (Cruise,), {"wheels": writes(tuple, name=actuator.name)})
+    return kind(actuator.name)
 
-def measured(linked, count=400):
+def measured(linked, others=0, count=400):
     come = io.BytesIO()
-    sensors, wheels = [Bumper(), Light()], Wheels()
+    sensors = [Bumper(), Light()]
+    wheels = [Wheels()] + [Wheels("wheels%d" % i) for i in range(others)]
     reactions = [Avoid(), Slow()]
     line = Line(streams=(came, read, takes, write))
     if linked:
-        orders = link.from_host((wheels,))
-        loop = Loop(reactions + orders, sensors + [link.Host(link.HOST)], [wheels], rate=50)
+        orders = link.from_host(tuple(wheels))
+        loop = Loop(reactions + orders, sensors + [link.Host(link.HOST)], wheels, rate=50)
         after = link.Link(loop, orders, "power-on", True, line)
     else:
-        loop = Loop(reactions + [Cruise()], sensors, [wheels], rate=50)
+        loop = Loop(reactions + [also(each) for each in wheels], sensors, wheels, rate=50)
         after = lambda: None
-    rates = []
-    if linked:
-        for i in range(2):
-            rates.append(stuffed(bytes([114, i]) + (100).to_bytes(2, "little")))
     worst = total = size = 0
     last = 0
     sent[0] = 0
     for i in range(count + 60):
         if linked:
-            turn = i % 5
-            data = b""
-            if turn == 0:
-                data = BEAT if i < 20 else ARMED
-            elif turn == 2:
-                data = GO
-            elif i % 50 in (1, 6):
-                data = rates[i % 2]
+            data = unhexlify(messages[others][i % 50 if i else 50])
             come = io.BytesIO(data)
             line.read = come.readinto
             line.came = takes if data else {0: ()}.get
@@ -223,7 +209,7 @@ def measured(linked, count=400):
             sent[0] = 0
         worst, total, size = max(worst, took), total + took, size + grew
     return [total / count, worst, size / count, sent[0] / count * 50, loop.faults]
-print(json.dumps([measured(False), measured(True)]))
+print(json.dumps([[measured(False, i), measured(True, i)] for i in (0, 3)]))
 """
 
 COSTS = {
@@ -233,6 +219,28 @@ COSTS = {
     "three reactions": (9.0, 0),
 }
 """At most so many times three calls, `write(react(read()))`, and bytes, for one step."""
+
+
+def told(others: int) -> list[str]:
+    """Return what a computer sends in a second, step by step: ten beats, and commands."""
+    names = ["wheels", *(f"wheels{number}" for number in range(others))]
+    speaks = Wire()
+    head = struct.pack("<BBBBHIIIIHH", ord("b"), link.VERSION, *[0] * 9)
+    speaks.said(head)
+    first = speaks.beat(None)
+    rate = struct.pack("<II", 50_000, 0)
+    speaks.said(b"n" + rate + f"bumper,light;{','.join(names)}".encode())
+    found = [b""] * 50
+    for step in range(0, 50, 5):
+        (found[step],) = speaks.beat(armed=True)
+        waiting = {name: speaks.command(name, (0.4, 0.4)) or b"" for name in names}
+        after = step + 2
+        while waiting:
+            found[after], sent = speaks.commands(waiting)
+            waiting = {n: each for n, each in waiting.items() if n not in sent}
+            after += 1
+    (found[1],) = speaks.rates({"bumper": 10.0, "light": 10.0})
+    return [stuffed(each[:-4])[1:].hex() if each else "" for each in [*found, *first]]
 
 
 def measured(folder: Path) -> dict[str, list[float]]:
@@ -247,7 +255,11 @@ def measured(folder: Path) -> dict[str, list[float]]:
     with Board(folder, exact=True) as board:
         costs: dict[str, list[float]] = json.loads(board.run(MEASURE))
     with Board(folder, exact=True) as board:
-        costs["bare"], costs["linked"] = json.loads(board.run(LINK))
+        one, four = json.loads(
+            board.run(f"messages = {{0: {told(0)}, 3: {told(3)}}}\n" + LINK)
+        )
+    costs["bare"], costs["linked"] = one
+    costs["bare of four"], costs["linked of four"] = four
     return costs
 
 
@@ -280,9 +292,10 @@ V1 += 10 * (len("Slight") + 1 + len("[20, 0.25]") + 7)
 
 
 @pytest.mark.promise("MIN-6")
-def test_a_link_costs_little(found) -> None:
+@pytest.mark.parametrize("of", ["", " of four"])
+def test_a_link_costs_little(found, of: str) -> None:
     """Each step with beats, commands and two sensors at 10 Hz, to one that drives alone."""
-    bare, linked = found["bare"], found["linked"]
+    bare, linked = found[f"bare{of}"], found[f"linked{of}"]
     mean, worst, size, sent, faults = linked
 
     assert faults == 0

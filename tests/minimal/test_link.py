@@ -2,9 +2,9 @@
 
 import asyncio
 import contextlib
-import json
 import os
 import pty
+import struct
 import tty
 from collections.abc import Callable
 
@@ -197,9 +197,10 @@ async def test_a_board_that_has_restarted_is_lost_first() -> None:
     async def beat() -> None:
         async for _ in esair.every(0.05):
             now_ms[0] += 50
-            state = [1, now_ms[0], *[0] * 4, "", 1000, "watchdog", True, 0]
-            payload = b"B\0" + json.dumps([*state, [], []]).encode()
-            os.write(mine, wire.stuffed(payload))
+            head = ord("b"), link.VERSION, 1, 255, 0
+            beat = struct.pack("<BBBBHIIIIHH", *head, now_ms[0], *[0] * 5)
+            names = b"n" + struct.pack("<II", 50_000, 0) + b";"
+            os.write(mine, wire.stuffed(beat) + wire.stuffed(names))
 
     bus = SerialBus(name="base", port=os.ttyname(other), framing="cobs")
     robot = esair.Robot(resources=[Board(name="base", bus=bus)])
@@ -275,6 +276,26 @@ def test_a_reading_that_comes_with_each_beat_is_sent() -> None:
                 values += [each] if isinstance(each, wire.Heard) else []
         board.said.clear()
     assert len(values) >= 35
+
+
+def test_what_waits_for_one_step_goes_in_one_message() -> None:
+    """Commands and rates; to a board of the version before one each, the oldest first."""
+    wire_ = wire.Wire()
+    beat = struct.pack("<BBBBHIIIIHH", 98, link.VERSION, *[0] * 9)
+    names = b"n" + struct.pack("<II", 50_000, 0) + b"a,b;" + b",".join(WHEELS)
+    assert [each.version for each in wire_.said(beat) + wire_.said(names)] == [3]
+    many = {each.decode(): wire_.command(each.decode(), 0.5) or b"" for each in WHEELS}
+
+    message, sent = wire_.commands(many)
+    assert sent == list(many)[:7]
+    assert len(wire.stuffed(message[:-4])) <= link.AT_ONCE
+    assert len(wire_.rates({"a": 10.0, "b": 5.0})) == 1
+    wire_.version = 2
+    assert wire_.commands(many)[1] == ["w0"]
+    assert len(wire_.rates({"a": 10.0, "b": 5.0})) == 2
+
+
+WHEELS = [b"w%d" % number for number in range(20)]
 
 
 @pytest.mark.parametrize(

@@ -216,6 +216,37 @@ def test_so_it_does_on_cpython(request) -> None:
     assert found == {}, f"of seed {seed}"
 
 
+@pytest.mark.parametrize(
+    ("rates", "version"),
+    [([25.0] * 6, 3), ([50.0] * 8, 3), ([25.0] * 3, 2)],
+    ids=["six", "eight", "three of the version before"],
+)
+def test_no_actuator_of_a_line_waits_for_the_others(
+    monkeypatch, rates: list[float], version: int
+) -> None:
+    """What is written to each goes on without a gap, and no beat is missed."""
+    monkeypatch.setattr(link, "VERSION", version)
+    writers = [
+        {"kind": "Follow", "host": True, "rate": rate, "inputs": [[0, 0.5]]}
+        | {"outputs": [[number, PRIORITY, None, "safe", False]]}
+        for number, rate in enumerate(rates)
+    ]
+    world = {
+        "steps": 150,
+        "sensors": [{"rate": 50, "values": [1.0]}],
+        "actuators": [{"kind": "pair", "timeout": 0.2, "limits": ""} for _ in rates],
+        "reactions": writers,
+    }
+    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        told = runner.run(over_the_link(world, linked_board.Linked(world)))
+
+    assert len(told) == len(rates)
+    for lines in told.values():
+        moved = [command for now, command in lines if 1000 < now < 3000]
+        assert set(moved) == {(0.3, -0.15)}
+        assert len(moved) >= 95
+
+
 def test_the_linked_worlds_are_worth_it() -> None:
     """Both sides move, guards are there, and sensors are lost."""
     rng = random.Random(5)

@@ -92,6 +92,8 @@ class Line:
 
     def flush(self) -> None:
         """Hand on what the port takes now."""
+        if not self.used:
+            return
         at, end = self.first, min(self.used, self.first + self.most)
         try:
             while at < end:

@@ -9,15 +9,16 @@ A step sends one message at most, and takes one at most: the computer sends none
 than the next step, but for its first. All numbers are little-endian::
 
     board to computer
-    b VERSION flags cause days:H now_ms:I late:I refused:I faults:I damaged:H lost:H
-      [fault]                          how it is; flags: 1 armed, 2 floats are doubles
+    b VERSION flags cause days:H now_ms:I [late:I refused:I faults:I damaged:H lost:H
+      [fault]]                         how it is; flags: 1 armed, 2 floats are doubles;
+                                       the counts when they change, and each second
     s (index value)...                 readings; `x` for a sensor that gives none
     n rate:I free:I sensors "," ... ";" actuators
                                        steps in 1000 s, names in the order of indices
     computer to board
     h VERSION flags                    a beat; 1: tell the names, 2: arm, 4: disarm
-    w index value                      a command; none to give the actuator back
-    r index interval:H                 send this sensor so often, in milliseconds
+    w (index value)...                 commands; none to give the actuator back
+    r (index interval:H)...            send these sensors so often, in milliseconds
     q                                  end, safe, and make room
 
 A value is `f` or `d` and a float, `i` or `q` and a whole number, `T`, `F`, `s` and a
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
 const = int  # MicroPython's compiler knows the word, and puts the number in its place
 
-VERSION = 2
+VERSION = 3
 
 HOST = "<host>"
 """What the computer is called here; no part of a robot can have such a name."""
@@ -46,10 +47,10 @@ PRIORITY = -1000
 """Of what the computer writes."""
 
 BEAT_MS = const(100)
-SILENCE = 0.35
-"""After so many seconds without a beat of the computer it counts as gone."""
+SILENCE_MS = const(350)
+"""After so long without a beat of the computer it counts as gone."""
 
-LONGEST = const(512)
+LONGEST = const(512 + 96)
 """Bytes of a message; what is longer is left out, or thrown away."""
 
 AT_ONCE = 96
@@ -65,6 +66,11 @@ REFUSAL = b"B\0[%d, 0]" % VERSION
 
 FLOAT = "d" if 1.0 + 2.0**-30 != 1.0 else "f"
 """How a float goes over the line: as the board has them."""
+
+
+_FORMS = {ord(each): "<" + each for each in "fdiq"}
+_PAIRS = {ord(each): "<2" + each for each in "fd"}
+_SIZES = {ord(each): 1 + struct.calcsize("<" + each) for each in "fdiq"}
 
 
 def packed(buffer: bytearray, at: int, value: "Any", form: str = FLOAT) -> int:
@@ -112,34 +118,32 @@ def packed(buffer: bytearray, at: int, value: "Any", form: str = FLOAT) -> int:
 
 def unpacked(data: "Any", at: int) -> "tuple[Any, int]":
     """Return the value at a place of some bytes, and where the next one begins."""
-    letter = chr(data[at])
+    letter = data[at]
+    form = _FORMS.get(letter)
+    if form:
+        return struct.unpack_from(form, data, at + 1)[0], at + _SIZES[letter]
     at += 1
-    if letter in "fdiq":
-        return struct.unpack_from("<" + letter, data, at)[0], at + (
-            4 if letter in "fi" else 8
-        )
-    if letter == "T" or letter == "F":
-        return letter == "T", at
-    (count,) = struct.unpack_from("<H", data, at)
+    if letter == 84 or letter == 70:  # T, F
+        return letter == 84, at
+    count = data[at] | data[at + 1] << 8
     at += 2
-    if letter == "R":
-        form = chr(data[at])
-        size = struct.calcsize("<" + form)
-        return struct.unpack_from("<%d%s" % (count, form), data, at + 1), (
-            at + 1 + count * size
-        )
-    if letter == "r":
+    if letter == 82:  # R
+        letter = data[at]
+        form = _PAIRS[letter] if count == 2 else "<%d%s" % (count, chr(letter))
+        end = at + 1 + count * (_SIZES[letter] - 1)
+        return struct.unpack_from(form, data, at + 1), end
+    if letter == 114:  # r
         found = []
         for _ in range(count):
             value, at = unpacked(data, at)
             found.append(value)
         return tuple(found), at
     text = bytes(data[at : at + count]).decode()
-    if letter == "j":
+    if letter == 106:  # j
         import json
 
         return json.loads(text), at + count
-    if letter != "s":
+    if letter != 115:  # s
         raise ValueError("no value")
     return text, at + count
 
@@ -160,7 +164,7 @@ class FromHost(Reaction):
         seconds: How long a command is good, the actuator's command timeout.
     """
 
-    host: "Any" = reads(int, name=HOST, max_age=SILENCE)
+    host: "Any" = reads(int, name=HOST, max_age=SILENCE_MS / 1000)
     actuator: "Any" = writes(priority=PRIORITY)
     rate = 1000  # each step: only beats are news of the host
 
@@ -238,8 +242,10 @@ class Link:
         self.due: list[int] = [0] * len(self.sensors)
         self.told: list[int] = [-1] * len(self.sensors)
         self.beat: int = 0
-        self.beats: int = 0
+        self.rest: int = 0  # until then there is nothing to tell
+        self.beats: int = 9  # the tenth tells all
         self.faults: int = 0
+        self.counts: int = 0
         self.answer: "Any" = None  # what is to be told next
         self.gap: int = 1000000 // loop.every
         self.packet: bytearray = bytearray(LONGEST)
@@ -247,8 +253,6 @@ class Link:
         self.view: memoryview[int] = memoryview(self.message)
         self.sent: memoryview[int] = memoryview(self.packet)
         self.used: int = 0
-        self.left: int = 0
-        self.full: bool = True
         self.free: int = _free()  # once: to count takes longer than a step
 
     def __call__(self) -> None:
@@ -267,36 +271,45 @@ class Link:
             self.packet[: len(data)] = data
             self._send(len(data))
             return
+        if 0 < self.rest - now <= BEAT_MS:
+            return
         ahead = self.beat - now
         if ahead <= 0 or ahead > BEAT_MS:
             self.beat = now + BEAT_MS
             self._beat(now)
             return
+        rest = ahead
         packet, due = self.packet, self.due
         # One that came in a step of a beat, or of an answer, goes in the next.
         at, fresh = 1, now - 4 * self.gap
         i = -1
         for gap in self.every:  # what `enumerate` makes would be new in each step
-            i += 1
+            i += 1  # noqa: SIM113
             if gap:
                 ahead = due[i] - now
-                if 0 < ahead <= gap:
-                    continue
-                node = self.sensors[i]
-                if fresh <= node.time != self.told[i]:
-                    self.told[i] = node.time
-                    ahead += gap
-                    due[i] = now + (ahead if 0 < ahead <= gap else gap)
-                    packet[at] = i
-                    at = packed(packet, at + 1, node.value)
+                if not 0 < ahead <= gap:
+                    node = self.sensors[i]
+                    if fresh <= node.time != self.told[i]:
+                        self.told[i] = node.time
+                        ahead += gap
+                        if not 0 < ahead <= gap:
+                            ahead = gap
+                        due[i] = now + ahead
+                        packet[at] = i
+                        at = packed(packet, at + 1, node.value)
+                    else:
+                        ahead = 0
+                if ahead < rest:
+                    rest = ahead
+        self.rest = now + rest
         if at > 1:
             packet[0] = 115  # s
             self._send(at)
 
     def _beat(self, now: int) -> None:
-        loop, packet = self.loop, self.packet
+        loop, packet, lost = self.loop, self.packet, self.line.lost
         struct.pack_into(
-            "<BBBBHIIIIHH",
+            "<BBBBHI",
             packet,
             0,
             98,  # b
@@ -305,21 +318,30 @@ class Link:
             self.cause,
             now // DAY_MS & 0xFFFF,
             now % DAY_MS,
-            loop.late & 0xFFFFFFFF,
-            loop.refused & 0xFFFFFFFF,
-            loop.faults & 0xFFFFFFFF,
-            self.damaged & 0xFFFF,
-            self.line.lost & 0xFFFF,
         )
-        at = 26
+        at = 10
         self.beats += 1
-        if loop.fault and (loop.faults != self.faults or self.beats >= 10):
-            self.beats, self.faults = 0, loop.faults
-            for each in ("%s: %r" % loop.fault).encode()[:80]:
-                packet[at] = each
-                at += 1
+        counts = loop.late + loop.refused + loop.faults + self.damaged + lost
+        if self.beats >= 10 or counts != self.counts:
+            struct.pack_into(
+                "<IIIHH",
+                packet,
+                at,
+                loop.late & 0xFFFFFFFF,
+                loop.refused & 0xFFFFFFFF,
+                loop.faults & 0xFFFFFFFF,
+                self.damaged & 0xFFFF,
+                lost & 0xFFFF,
+            )
+            at = 26
+            if loop.fault and (loop.faults != self.faults or self.beats >= 10):
+                for each in ("%s: %r" % loop.fault).encode()[:80]:
+                    packet[at] = each
+                    at += 1
+            self.beats %= 10
+            self.counts, self.faults = counts, loop.faults
         self._send(at)
-        if now - self.host.time > 1000 * SILENCE:
+        if now - self.host.time > SILENCE_MS:
             self.every = [0] * len(self.every)  # nobody reads
         gone = b""
         for i in range(len(self.every)):
@@ -339,20 +361,22 @@ class Link:
         if not line.has_room(size):
             return
         out, code = line.buffer, line.used
-        to, end = code + 1, code + size
-        for byte in self.sent[:count]:
-            if byte:
-                out[to] = byte
-                to += 1
-                if to - code < 255:
-                    continue
-            out[code] = to - code
-            code = to
-            to += 1
-        out[code] = to - code
-        for i in range(to, end):
+        line.used = code + size
+        end = code + 1 + count
+        out[code + 1 : end] = self.sent[:count]
+        at = code
+        while at < end:
+            at = out.find(b"\0", code + 1, end)
+            if at < 0:
+                at = end
+            if at - code > 254:  # a code that stands for no zero
+                at = code + 255
+                out[at + 1 : end + 1] = out[at:end]
+                end += 1
+            out[code] = at - code
+            code = at
+        for i in range(end, line.used):
             out[i] = 0
-        line.used = end
 
     def _hear(self) -> None:
         """Take what the line has brought, one message at most."""
@@ -362,8 +386,8 @@ class Link:
             break
         else:
             return
-        read, message, one = line.read, self.message, line.one
-        used, left, full = self.used, self.left, self.full
+        read, one, message = line.read, line.one, self.message
+        used = min(self.used, LONGEST - AT_ONCE)  # what is longer is none
         for _ in range(AT_ONCE):
             for _ in came(0):
                 break
@@ -372,55 +396,59 @@ class Link:
             if not read(one):
                 break
             byte = one[0]
-            if not byte:
-                count = used
-                whole = left == 0
-                used, left, full = 0, 0, True
-                if count:
-                    self.used, self.left, self.full = 0, 0, True
-                    try:
-                        if not whole or not self._obey(count - 4):
-                            self.damaged += 1
-                    except Exception:  # what is no message of this version
+            if byte:
+                message[used] = byte
+                used += 1
+            elif used:
+                self.used = 0
+                try:
+                    if not self._obey(used):
                         self.damaged += 1
-                    return
-            elif left:
-                left -= 1
-                if used < LONGEST:
-                    message[used] = byte
-                    used += 1
-            else:
-                left = byte - 1
-                if not full and used < LONGEST:
-                    message[used] = 0
-                    used += 1
-                full = byte == 255
-        self.used, self.left, self.full = used, left, full
+                except Exception:  # what is no message of this version
+                    self.damaged += 1
+                return
+        self.used = used
 
-    def _obey(self, count: int) -> bool:
-        if count < 1 or crc32(self.view[: count + 4]) & 0xFFFFFFFF != _WHOLE:
-            return False
+    def _obey(self, used: int) -> bool:
+        """Do what a message says, which is stuffed yet; tell whether it was one."""
         message = self.message
-        kind = message[0]
+        at = 0
+        while at < used:
+            code = message[at]
+            message[at] = 0  # that is what it stands for
+            at += code
+            while code == 255 and at < used:  # but here for nothing
+                code = message[at]
+                used -= 1
+                message[at:used] = message[at + 1 : used + 1]
+                at += code - 1
+        end = used - 4
+        if at != used or end < 2 or crc32(self.view[1:used]) & 0xFFFFFFFF != _WHOLE:
+            return False
+        kind = message[1]
         if kind == 119 and self.version == VERSION:  # w
-            order = self.orders[message[1]]
-            value, end = unpacked(message, 2)
-            if end != count:
-                return False  # it says more than it has
-            if isinstance(value, tuple):
-                value = _like(self.loop.outputs[order.target].safe, value)
-            order.take(value)
-        elif kind == 104 and count == 3:  # h
-            self.version = message[1]
+            at = 2
+            while at < end:
+                order = self.orders[message[at]]
+                value, at = unpacked(message, at + 1)
+                if at > end:
+                    return False  # it says more than it has
+                if isinstance(value, tuple):
+                    value = _like(self.loop.outputs[order.target].safe, value)
+                order.take(value)
+        elif kind == 104 and end == 4:  # h
+            self.version = message[2]
             if self.version == VERSION:
-                self._beaten(message[2])
+                self._beaten(message[3])
         elif kind == 113 or kind == 81:  # q, or Q of version 1
             take_ctrl_c(3)
             raise KeyboardInterrupt  # it ends as by Ctrl-C, with safe commands
         elif kind == 66:  # B, of version 1
             self.version, self.answer = 1, REFUSAL
-        elif kind == 114 and count == 4 and self.version == VERSION:  # r
-            self.every[message[1]] = struct.unpack_from("<H", message, 2)[0]
+        elif kind == 114 and end % 3 == 2 and self.version == VERSION:  # r
+            for at in range(2, end, 3):
+                self.every[message[at]] = message[at + 1] | message[at + 2] << 8
+            self.rest = 0
         else:
             return False
         return True
@@ -429,6 +457,7 @@ class Link:
         self.host.value = self.host.value + 1 & 0xFFFF
         self.host.time = self.loop.now_ms
         if flags & 1:
+            self.beats = 9
             names = ",".join([each.name for each in self.sensors])
             names += ";" + ",".join([each.target for each in self.orders])
             self.answer = (

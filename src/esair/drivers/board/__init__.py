@@ -42,7 +42,7 @@ import logging
 from collections.abc import AsyncIterator
 from typing import Any, Unpack
 
-from esair.boards.link import BEAT_MS, VERSION
+from esair.boards.link import AT_ONCE, BEAT_MS, VERSION
 from esair.buses import Inbox, SerialBus
 from esair.drivers._on_bus import SharedTask, shared
 from esair.drivers.board.wire import (
@@ -94,6 +94,9 @@ class _Beats(SharedTask):
         self._first: asyncio.Event = asyncio.Event()
         self.wire = Wire()
         self._turn = 0.0
+        self._sending = asyncio.Lock()
+        self._waiting: dict[str, bytes] = {}
+        """The newest command of each actuator that was not sent yet, the oldest first."""
         self.armed: bool | None = None
         """What the board is told; None to leave it as it is."""
         self.rates: dict[str, float] = {}
@@ -105,7 +108,8 @@ class _Beats(SharedTask):
         """Wait for the first beat of the board, and its names."""
         if self.begin(user, functools.partial(self._run, bus)):
             self._heard, self._now_ms, self.wire = -1.0, -1, Wire()
-            self._first = asyncio.Event()
+            self._first, self._sending = asyncio.Event(), asyncio.Lock()
+            self._waiting = {}
         try:
             async with asyncio.timeout(1.6 * SILENCE):
                 await self._first.wait()
@@ -135,11 +139,11 @@ class _Beats(SharedTask):
                 if loop.time() >= due - REACHED:
                     due = loop.time() + BEAT_MS / 1000
                     for message in self.wire.beat(self.armed):
-                        await self.send(bus, message)
+                        await self._send(bus, message)
                     if self.wire.named and loop.time() >= asks:
                         asks = loop.time() + _ASK_AGAIN
                         for message in self.wire.rates(self.rates):
-                            await self.send(bus, message)
+                            await self._send(bus, message)
                 try:
                     frame = await inbox.take(timeout=max(0.0, due - loop.time()))
                 except TimeoutError:
@@ -150,13 +154,44 @@ class _Beats(SharedTask):
                     elif self._beaten(said, loop.time()):
                         return
 
-    async def send(self, bus: SerialBus, message: bytes) -> None:
-        """Send a message when the board has taken the one before it, in its step."""
-        now = asyncio.get_running_loop().time()
-        turn = max(now, self._turn)
-        self._turn = turn + 1.05 * self.wire.period * self.wire.named
-        if turn > now:
-            await asyncio.sleep(turn - now)
+    async def command(self, bus: SerialBus, name: str, command: object) -> None:
+        """Send a command, in one message with the others that wait for the next step."""
+        wire, waiting = self.wire, self._waiting
+        mine = wire.command(name, command)
+        if mine is None:
+            raise DeviceFaultError(name, "the board has no actuator of this name")
+        waiting[name] = mine
+        try:
+            async with self._sending:
+                while waiting.get(name) is mine:  # it did not go with another
+                    await self._step_of_the_board()
+                    if wire is not self.wire:
+                        raise DeviceLostError(name, "the board has restarted")
+                    message, names = wire.commands(waiting)
+                    sent = [(each, waiting[each]) for each in names]
+                    await self._put(bus, message)
+                    for each, what in sent:
+                        if waiting.get(each) is what:
+                            del waiting[each]
+        finally:
+            if waiting.get(name) is mine:
+                del waiting[name]
+
+    async def _send(self, bus: SerialBus, message: bytes) -> None:
+        async with self._sending:
+            await self._step_of_the_board()
+            await self._put(bus, message)
+
+    async def _step_of_the_board(self) -> None:
+        """Wait until the board has taken the message before, in a step or more."""
+        left = self._turn - asyncio.get_running_loop().time()
+        if left > 0:
+            await asyncio.sleep(left)
+
+    async def _put(self, bus: SerialBus, message: bytes) -> None:
+        steps = 1 + len(message) // AT_ONCE
+        period = 1.05 * steps * self.wire.period * self.wire.named
+        self._turn = asyncio.get_running_loop().time() + period
         await bus.send(message)
 
     def _hand_on(self, name: str, said: object) -> None:
@@ -168,7 +203,7 @@ class _Beats(SharedTask):
         """Take a beat; tell whether the board has started anew."""
         self._heard = now
         state = beat.state
-        if state is None or beat.version == 1 or self.wire.named:
+        if state is None or self.wire.named:
             self._first.set()
         if state is None:
             return False
@@ -328,10 +363,7 @@ class BoardActuator(_OnBoard, Actuator[Any]):
         """
         beats = _Beats.of(self.bus)
         beats.check(self.name)
-        message = beats.wire.command(self.name, command)
-        if message is None:
-            raise DeviceFaultError(self.name, "the board has no actuator of this name")
-        await beats.send(self.bus, message)
+        await beats.command(self.bus, self.name, command)
 
 
 def _listening(bus: SerialBus, name: str) -> Inbox[Any]:

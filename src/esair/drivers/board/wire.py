@@ -1,7 +1,7 @@
 """What goes over the line between a board and a computer; pure, without any I/O.
 
-The last two versions of the link are spoken: 2, whose values are bytes, and 1, which is
-JSON. What a board speaks, its first beat says.
+The last two versions of the link are spoken: 3, and 2, which has one command and one rate
+in a message, and all counts in each beat. What a board speaks, its first beat says.
 """
 
 from __future__ import annotations
@@ -17,10 +17,13 @@ import attrs
 from esair.boards.link import DAY_MS, VERSION, packed, unpacked
 from esair.boards.start import CAUSES
 
-SPOKEN: Final = (1, VERSION)
+SPOKEN: Final = (2, VERSION)
 """The versions of the link that this computer speaks."""
 
-_BEAT: Final = struct.Struct("<BBBBHIIIIHH")
+_BEAT: Final = struct.Struct("<BBBBHI")
+_COUNTS: Final = struct.Struct("<IIIHH")
+_ROOM: Final = 48
+"""Bytes of a message at most, unless one command is longer: a step reads them one by one."""
 
 
 @attrs.frozen
@@ -127,7 +130,7 @@ class Wire:
 
     Attributes:
         version: What it speaks; 0 before its first beat.
-        named: Whether its sensors and actuators are known by name; not in version 1.
+        named: Whether its sensors and actuators are known by name.
         period: How long its steps are, in seconds: it takes one message in each.
             Known with the names.
     """
@@ -137,6 +140,7 @@ class Wire:
         self.named: bool = False
         self.period: float = 1.0
         self._free = 0
+        self._counts: tuple[int, ...] = ()
         self._sensors: list[str] = []
         self._actuators: list[str] = []
         self._seen: dict[str, None] = {}
@@ -157,11 +161,13 @@ class Wire:
 
     def _said(self, payload: bytes) -> list[Beat | Heard]:
         kind = payload[:1]
-        if kind == b"B":
-            return [self._old_beat(json.loads(payload[2:]))]
+        if kind == b"B":  # of version 1, or for a computer that speaks only that
+            self.version = int(json.loads(payload[2:])[0])
+            return [Beat(self.version, None)] * (self.version not in SPOKEN)
         if kind == b"b":
-            return [self._beat(payload)]
-        if kind == b"n" and self.version == VERSION:
+            beat = self._beat(payload)
+            return [beat] * (beat.state is None or bool(self._counts))
+        if kind == b"n" and self.version in SPOKEN:
             rate, self._free = struct.unpack_from("<II", payload, 1)
             self.period = 1000 / rate
             sensors, _, actuators = payload[9:].decode().partition(";")
@@ -170,19 +176,18 @@ class Wire:
             self.named = True
         elif kind == b"s" and self.named:
             return self._readings(payload)
-        elif kind == b"S" and self.version == 1:
-            name, _, text = payload[1:].partition(b"\0")
-            value = json.loads(text)
-            return [self._reading(name.decode(), *value[1:], gone=value == [])]
         return []
 
     def _beat(self, payload: bytes) -> Beat:
-        if payload[1] != VERSION:
+        if payload[1] not in SPOKEN:
             self.version = payload[1]
             return Beat(self.version, None)
-        _, self.version, flags, cause, days, *counts = _BEAT.unpack_from(payload)
-        now, late, refused, faults, damaged, lost = counts
-        self._fault = payload[_BEAT.size :].decode("utf-8", "replace") or self._fault
+        _, self.version, flags, cause, days, now = _BEAT.unpack_from(payload)
+        if len(payload) > _BEAT.size:
+            self._counts = _COUNTS.unpack_from(payload, _BEAT.size)
+            text = payload[_BEAT.size + _COUNTS.size :].decode("utf-8", "replace")
+            self._fault = text or self._fault
+        late, refused, faults, damaged, lost = self._counts or [0] * 5
         self._form = "d" if flags & 2 else "f"
         state = BoardState(
             now_ms=days * DAY_MS + now,
@@ -200,16 +205,6 @@ class Wire:
             lost=lost,
         )
         return Beat(self.version, state)
-
-    def _old_beat(self, value: list[Any]) -> Beat:
-        self.version = int(value[0])
-        if self.version != 1:
-            return Beat(self.version, None)
-        words = [each.name for each in attrs.fields(BoardState)]
-        found = dict(zip(words, value[1:], strict=False))
-        for key in {"sensors", "actuators"} & found.keys():
-            found[key] = tuple(found[key])
-        return Beat(1, BoardState(**found))
 
     def _readings(self, payload: bytes) -> list[Beat | Heard]:
         found: list[Beat | Heard] = []
@@ -235,38 +230,43 @@ class Wire:
         """Return the messages of a beat that this computer sends, to arm or not."""
         if self.version not in SPOKEN:
             return []
-        if self.version == 1:
-            arm = [] if armed is None else [signed(b"A%d" % armed)]
-            return [signed(b"B1"), *arm]
         flags = (not self.named) + (0 if armed is None else 2 if armed else 4)
-        return [signed(bytes([ord("h"), VERSION, flags]))]
+        return [signed(bytes([ord("h"), self.version, flags]))]
 
     def rates(self, asked: Mapping[str, float]) -> list[bytes]:
         """Return the messages that ask for sensors, each at a rate in Hz."""
-        return [
-            signed(
-                struct.pack(
-                    "<BBH",
-                    ord("r"),
-                    self._sensors.index(name),
-                    min(65535, max(1, int(1000 / rate))),
-                )
+        wanted = b"".join(
+            struct.pack(
+                "<BH",
+                self._sensors.index(name),
+                min(65535, max(1, int(1000 / rate))),
             )
             for name, rate in asked.items()
             if self.named and name in self._sensors
+        )
+        size = 3 if self.version == 2 else _ROOM // 3 * 3
+        return [
+            signed(b"r" + wanted[at : at + size]) for at in range(0, len(wanted), size)
         ]
 
     def command(self, name: str, value: Any) -> bytes | None:
-        """Return the message of a command; None while the actuator is not known."""
-        if self.version == 1:
-            body = json.dumps(value).encode()
-            return signed(b"W" + name.encode() + b"\0" + body)
+        """Return what `commands` take for a command; None for an unknown actuator."""
         if name not in self._actuators:
             return None
         buffer = bytearray(len(repr(value)) * 9 + 16)
-        buffer[:2] = bytes([ord("w"), self._actuators.index(name)])
-        end = packed(buffer, 2, value, self._form)
-        return signed(bytes(buffer[:end]))
+        buffer[0] = self._actuators.index(name)
+        end = packed(buffer, 1, value, self._form)
+        return bytes(buffer[:end])
+
+    def commands(self, waiting: Mapping[str, bytes]) -> tuple[bytes, list[str]]:
+        """Return the message of the first commands that wait, and whose they are."""
+        data, names = b"w", list[str]()
+        for name, command in waiting.items():
+            if names and (self.version == 2 or len(data) + len(command) > _ROOM):
+                break
+            data += command
+            names.append(name)
+        return signed(data), names
 
 
 def tuples(value: Any) -> Any:
