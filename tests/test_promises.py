@@ -97,6 +97,7 @@ def test_the_catalogue_is_whole() -> None:
     assert NOT_YET.keys() < PROMISES
 
 
+@pytest.mark.long
 def test_every_promise_has_a_test() -> None:
     """No promise is only words."""
     proved = {each for each, _ in marks("promise", files())}

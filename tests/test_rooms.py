@@ -34,6 +34,7 @@ def private_imports(file: Path) -> list[str]:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("package", PACKAGES)
 def test_no_package_looks_into_another(package: str) -> None:
     """What a name with an underscore is for is known in its own package only."""

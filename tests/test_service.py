@@ -116,7 +116,7 @@ class Water(esair.Behavior):
                 self.log["water"] = self.start + esair.now()
 
 
-@pytest.mark.longer
+@pytest.mark.long
 @pytest.mark.promise("SUP-4")
 def test_in_a_year_nothing_stays_down_for_longer_than_five_minutes(
     request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch

@@ -114,6 +114,7 @@ def on_the_loop_that_ships(work: Awaitable[Any]) -> Any:
         return runner.run(work)  # type: ignore[arg-type]
 
 
+@pytest.mark.long
 @pytest.mark.promise("SUP-2")
 @pytest.mark.parametrize(
     "many", [MANY, pytest.param(LONG_MANY, marks=pytest.mark.long)]

@@ -41,6 +41,7 @@ def test_a_row_that_comes_or_goes_is_told() -> None:
     assert list(changed({}, {"P4 write": KEPT["P4 write"]})) == ["P4 write: new"]
 
 
+@pytest.mark.long
 def test_one_more_call_shows_and_the_rest_repeats() -> None:
     """What is counted is what the interpreter executes, to the digit."""
 

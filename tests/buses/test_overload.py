@@ -96,6 +96,7 @@ async def overload(kind: type[Chip], seconds: float) -> list[int]:
         return [each.count - was for each, was in zip(chips, before, strict=True)]
 
 
+@pytest.mark.long
 @pytest.mark.virtual_clock
 @pytest.mark.promise("BUS-5")
 @pytest.mark.parametrize("transfers", [1, pytest.param(3, marks=pytest.mark.long)])

@@ -153,6 +153,7 @@ def test_no_floats_where_the_reactions_have_none(tmp_path) -> None:
     assert "malloc" not in written
 
 
+@pytest.mark.long
 @pytest.mark.skipif(avr.why_not() is not None, reason=str(avr.why_not()))
 @pytest.mark.parametrize(
     ("guarded", "flash", "cycles"),

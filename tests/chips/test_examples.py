@@ -69,6 +69,7 @@ class Like:
         raise OSError
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("file", [*reactions()])
 def test_it_is_translated_or_refused_with_a_reason(file, tmp_path, monkeypatch) -> None:
     if "drivers.mavlink" in file.read_text():

@@ -137,6 +137,7 @@ def said(tmp_path_factory) -> tuple[list[Any], list[Any]]:
     return robots.run_min(checked, JOURNAL), robots.run_c(robot, program, JOURNAL)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", range(len(CASES)), ids=list(CASES))
 def test_it_means_the_same(said, number) -> None:
     """To the bit, at its step, and safe where MIN has a fault or 32 bits do not hold it."""

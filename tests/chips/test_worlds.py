@@ -89,7 +89,7 @@ def differing(seeds: range, worlds: int, folder: Path, *flags: str) -> dict[Any,
     return found
 
 
-@pytest.mark.longer
+@pytest.mark.long
 def test_written_at_random_to_the_bit(tmp_path, request) -> None:
     """Whatever is said with what can be translated; also each fault, at its step."""
     seed = random.randrange(2**31) if request.config.getoption("--esair-soak") else 20
@@ -97,7 +97,7 @@ def test_written_at_random_to_the_bit(tmp_path, request) -> None:
     assert differing(range(seed, seed + many), 8, tmp_path) == {}
 
 
-@pytest.mark.longer
+@pytest.mark.long
 def test_nothing_undefined(tmp_path, request) -> None:
     """No overflow, no wild shift, no step over the end of a row."""
     many = 6 if request.config.getoption("--esair-long") else 1

@@ -88,6 +88,7 @@ def test_a_check_starts_no_robot(script, esair_command, capsys) -> None:
     assert "if __name__ == '__main__'" in capsys.readouterr().err
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.parametrize("kind", ["fifo", "device", "tables", "dotted"])
 def test_a_strange_file_is_told_at_once(tmp_path, esair_command, capsys, kind) -> None:

@@ -201,6 +201,7 @@ def test_watch_tells_what_comes_and_goes(running, computer) -> None:
     assert process.returncode == 130
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 def test_watch_tells_people_in_one_line_each(running, computer) -> None:
     """Plus and minus, as in a list of changes."""
@@ -218,6 +219,7 @@ def test_watch_tells_people_in_one_line_each(running, computer) -> None:
     process.send_signal(signal.SIGINT)
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 def test_find_names_the_one_that_was_unplugged(running, computer) -> None:
     """With its lines for the robot.toml, and not those of the others."""

@@ -82,6 +82,7 @@ def test_an_option_that_may_stand_alone_takes_one_word(
     assert why.format(option) in " ".join(told)
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.parametrize(
     ("package", "words", "extra"),
@@ -104,6 +105,7 @@ def test_a_missing_extra_is_one_line_with_the_command(
     assert f'pip install "{extra}"' in line
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 def test_a_reader_that_has_seen_enough_is_no_error(start, tmp_path) -> None:
     """``esair | head`` ends silently."""
@@ -129,6 +131,7 @@ def test_ctrl_c_before_a_verb_has_begun_is_no_traceback(
     assert capsys.readouterr() == ("", "")
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 def test_closed_output_is_no_error(start, tmp_path) -> None:
     """Who closes it wants only the exit code."""
@@ -139,6 +142,7 @@ def test_closed_output_is_no_error(start, tmp_path) -> None:
     assert not told
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.parametrize(
     "words",

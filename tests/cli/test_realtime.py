@@ -71,6 +71,7 @@ def policy_of(pid: int) -> tuple[int, int]:
     return policy, os.sched_getparam(pid).sched_priority
 
 
+@pytest.mark.long
 @allowed
 @pytest.mark.parametrize(
     ("words", "more", "priority"),

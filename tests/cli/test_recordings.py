@@ -59,6 +59,7 @@ def test_log_prints_a_line_for_each_event(recording: Path, capsys) -> None:
     assert lines[1].endswith("sent       wander > wheels [0.3, 0.0]")
 
 
+@pytest.mark.long
 def test_a_reader_that_has_seen_enough_is_no_error(recording: Path) -> None:
     """``esair log FILE | head`` ends without a word."""
     code = f"from esair.cli import main; main(['log', {str(recording)!r}])"
@@ -155,6 +156,7 @@ def test_a_file_that_is_none_is_told(verb: str, tmp_path: Path, capsys) -> None:
     assert run(verb, tmp_path / "nowhere.mcap") == 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("verb", ["log", "plot", "recover", "replay"])
 def test_a_file_that_is_no_recording_is_one_line(verb, tmp_path, capsys) -> None:
     """Which file, and what is the matter with it; exit code 2."""

@@ -104,6 +104,7 @@ def sent(folder):
     ]
 
 
+@pytest.mark.long
 def test_a_robot_that_ends_by_itself_is_exit_code_0(folder, start) -> None:
     """All behaviors have ended; the motor is safe."""
     where = folder("Once")
@@ -115,6 +116,7 @@ def test_a_robot_that_ends_by_itself_is_exit_code_0(folder, start) -> None:
     assert sent(where)[-1] == 0.0
 
 
+@pytest.mark.long
 def test_sim_uses_the_simulated_devices(folder, start) -> None:
     """The real driver is not called at all."""
     where = folder("Once")
@@ -125,6 +127,7 @@ def test_sim_uses_the_simulated_devices(folder, start) -> None:
     assert all(isinstance(each, list) for each in sent(where))
 
 
+@pytest.mark.long
 def test_a_time_can_be_set(folder, start) -> None:
     """``--for`` ends it in order."""
     where = folder("Always")
@@ -150,6 +153,7 @@ def test_a_log_that_nobody_reads_holds_nothing_up(folder, start) -> None:
     assert sent(where)[-1] == 0.0
 
 
+@pytest.mark.long
 def test_a_line_that_cannot_be_shown_is_not_the_last_one(folder, start) -> None:
     """And each is shown as it was when it was said."""
     process = start("run", "robot.toml", cwd=folder("Clumsy"))
@@ -162,6 +166,7 @@ def test_a_line_that_cannot_be_shown_is_not_the_last_one(folder, start) -> None:
     assert "Traceback" not in log
 
 
+@pytest.mark.long
 def test_a_log_that_is_no_terminal_has_a_line_for_each_record(folder, start) -> None:
     """So that it can be searched, however long a line is."""
     process = start("run", "robot.toml", cwd=folder("Clumsy"))
@@ -171,6 +176,7 @@ def test_a_log_that_is_no_terminal_has_a_line_for_each_record(folder, start) -> 
     assert re.fullmatch(r"\d\d:\d\d:\d\d WARNING  (long){80}", line)
 
 
+@pytest.mark.long
 def test_nobody_needs_to_see_the_log(folder, start) -> None:
     """A service may start it with its error output closed."""
     where = folder("Once")
@@ -236,6 +242,7 @@ def test_a_signal_makes_the_motor_safe(folder, start, number) -> None:
     assert "Traceback" not in log
 
 
+@pytest.mark.long
 def test_a_behavior_that_fails_for_good_is_exit_code_1(folder, start) -> None:
     """Its error is one block, its actuator safe; the traceback is there on demand."""
     where = folder("Crash")
@@ -254,6 +261,7 @@ def test_a_behavior_that_fails_for_good_is_exit_code_1(folder, start) -> None:
     assert "Traceback" in process.communicate(timeout=60)[1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("option", "package", "extra"),
     [("--record", "foxglove", "record"), ("--page", "starlette", "page")],
@@ -274,6 +282,7 @@ def test_an_extra_that_is_not_installed_is_exit_code_2(
     assert not (where / "log.jsonl").exists()
 
 
+@pytest.mark.long
 def test_a_required_device_that_is_not_there_is_exit_code_1(folder, start) -> None:
     """The robot does not start, and says why in a line."""
     process = start("run", "robot.toml", cwd=folder("Once", "Gone"))

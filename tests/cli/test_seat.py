@@ -174,6 +174,7 @@ def test_an_operation_is_called_and_told(esair, robot):
     assert [json.loads(line) for line in lines] == [[2, 0.5], [3, 0.1]]
 
 
+@pytest.mark.long
 @pytest.mark.promise("SEC-1")
 def test_what_a_device_says_cannot_reach_the_terminal_raw(esair, robot):
     """No escape, line end or bidi character: they are shown as their numbers."""
@@ -224,6 +225,7 @@ def test_a_name_that_nobody_has_is_told_before_the_log_is_followed(
     assert "did you mean 'motor'" in follower.stderr.readline()
 
 
+@pytest.mark.long
 @pytest.mark.promise("OPS-1")
 @pytest.mark.fault("O18")
 def test_a_second_start_is_refused(esair, robot, start):

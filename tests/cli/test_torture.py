@@ -33,6 +33,7 @@ def test_it_ends_when_its_time_is_over(esair_command, capsys) -> None:
     assert time.process_time() - began < 5.0
 
 
+@pytest.mark.long
 def test_what_is_found_is_a_test_in_the_folder(esair_command, capsys, tmp_path) -> None:
     """Exit code 1; the table says which faults were not survived."""
     words = ("--own-devices", "--out", tmp_path / "tests")

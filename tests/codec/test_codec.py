@@ -418,6 +418,7 @@ ANY = st.recursive(
 )
 
 
+@pytest.mark.long
 @given(ANY)
 def test_any_mixture_comes_back(value: Any) -> None:
     """Equal, and written the same again."""

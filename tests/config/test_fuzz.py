@@ -206,6 +206,7 @@ def test_the_document_that_is_changed_is_sound(project) -> None:
     assert config.check(project.file).errors == 0
 
 
+@pytest.mark.long
 @pytest.mark.fault("G02")
 @pytest.mark.fault("G03")
 @FUZZ

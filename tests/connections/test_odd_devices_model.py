@@ -85,6 +85,7 @@ odd = st.one_of(
 )
 
 
+@pytest.mark.long
 @pytest.mark.promise("AC-2", "AC-4", "CALL-1", "CALL-2", "CALL-3")
 @pytest.mark.fault("D20", "D21", "D22", "D23", "D25", "R04", "R05")
 @settings(max_examples=60, deadline=None)

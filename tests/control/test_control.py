@@ -294,6 +294,7 @@ def test_a_profile_keeps_its_limits(speed, acceleration, steps) -> None:
         assert abs(after - before) <= speed * seconds * 1.000001
 
 
+@pytest.mark.long
 @given(
     speed=st.floats(0.1, 10.0),
     acceleration=st.floats(0.1, 10.0),

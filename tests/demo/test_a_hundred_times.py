@@ -64,6 +64,7 @@ async def until(condition: Callable[[], bool]) -> None:
 DEVICES = pytest.mark.parametrize("which", ["front", "skirt", "drive", "body"])
 
 
+@pytest.mark.long
 @DEVICES
 @pytest.mark.virtual_clock
 @pytest.mark.promise("RES-2", "BUS-1")

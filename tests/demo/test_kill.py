@@ -31,6 +31,7 @@ def test_safe_is_what_came_last_and_stayed(
     assert Death(lines, "").safe_after == safe
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.promise("GRD-1")
 def test_a_killed_robot_is_shown_to_be_safe(monkeypatch: pytest.MonkeyPatch) -> None:

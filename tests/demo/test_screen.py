@@ -90,6 +90,7 @@ def test_events_stay_when_the_drawing_is_gone() -> None:
     assert "the range finder is unplugged" in text.getvalue().rpartition("\x1b[?25h")[2]
 
 
+@pytest.mark.long
 @pytest.mark.virtual_clock
 async def test_on_80_by_24_all_is_seen_and_the_blind_moment_says_why() -> None:
     """The map, the components, the newest events, and why the rover stands still."""

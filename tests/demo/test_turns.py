@@ -19,6 +19,7 @@ from esair.sim import Simulation
 SIDES = {command_id(side): side for side in (LEFT, RIGHT)}
 
 
+@pytest.mark.long
 @pytest.mark.virtual_clock
 @pytest.mark.promise("MODE-1", "MODE-3")
 async def test_the_rover_explores_docks_and_charges_by_modes() -> None:

@@ -63,6 +63,7 @@ def test_the_first_wrong_decision_is_found(folder: Path) -> None:
     assert lines[-1].endswith(": 4.0")
 
 
+@pytest.mark.long
 @pytest.mark.promise("REP-1")
 @pytest.mark.parametrize("fixed", [False, True])
 def test_the_test_of_the_page_finds_the_mistake(

@@ -17,6 +17,7 @@ def tortured(robot: str, faults: int) -> tuple[Target, Report]:
     return target, torture(target, seed=SEED, faults=faults, findings=1)
 
 
+@pytest.mark.long
 def test_the_page_shows_the_test_that_is_written(tmp_path: Path) -> None:
     """The story is the shortest: one cable."""
     target, report = tortured("robot", 500)

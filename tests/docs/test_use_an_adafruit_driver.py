@@ -76,6 +76,7 @@ async def test_the_fan_turns_while_it_is_humid_and_the_battery_lasts() -> None:
     assert speed(chips) == 0
 
 
+@pytest.mark.long
 @pytest.mark.virtual_clock
 async def test_a_part_that_falls_silent_stops_the_fan() -> None:
     """And when it answers again all goes on."""
@@ -95,6 +96,7 @@ async def test_a_part_that_falls_silent_stops_the_fan() -> None:
         assert speed(chips) == 200
 
 
+@pytest.mark.long
 def test_the_file_is_right_as_it_stands(tmp_path: Path) -> None:
     """For the real bus too; its parts are found in its own folder."""
     done = subprocess.run(

@@ -25,6 +25,7 @@ esair.run(esair.Robot.from_config(sys.argv[1]))
 """
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.promise("GRD-1")
 @pytest.mark.parametrize("way", ["kill", "stuck", "end"])

@@ -34,6 +34,7 @@ def beating(line: FakeSerial, *now_ms: int) -> FakeSerial:
     return line
 
 
+@pytest.mark.long
 @pytest.mark.fault("D16")
 async def test_a_line_that_stalls_while_a_beat_is_sent_leaves_no_error_behind(
     fake_serial: Callable[..., FakeSerial],

@@ -12,6 +12,7 @@ import esair
 pytestmark = pytest.mark.virtual_clock
 
 
+@pytest.mark.long
 @pytest.mark.promise("NET-2")
 async def test_they_take_turns_at_the_charger() -> None:
     """Each of them is charged, and one at a time, also when one of them is cut off."""

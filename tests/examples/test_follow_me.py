@@ -17,6 +17,7 @@ def apart(robot):
     return sum(each**2 for each in follow_me.to_metres(*places)) ** 0.5
 
 
+@pytest.mark.long
 @pytest.mark.virtual_clock
 async def test_it_follows_and_stands_without_a_leader(capsys) -> None:
     """It comes near and stays there; it does not drive on to where the leader was."""

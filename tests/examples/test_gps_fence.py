@@ -65,6 +65,7 @@ async def test_without_a_position_it_stands() -> None:
     assert board.sent[-1] == b"speed=0"
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 def test_it_runs_as_a_script() -> None:
     """In real time, through pseudo-terminals, without an error."""

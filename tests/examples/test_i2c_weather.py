@@ -84,6 +84,7 @@ async def test_lets_go_when_it_knows_nothing(chips) -> None:
         assert chips.pulse == pytest.approx(SHUT, abs=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.fault("D01", "D04")
 async def test_an_adapter_that_is_pulled_out_and_put_back(chips) -> None:
     """A hundred times; the servo moves again only after a fresh command."""

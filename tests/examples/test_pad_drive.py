@@ -13,6 +13,7 @@ from esair.testing import FakeCan
 pytestmark = pytest.mark.virtual_clock
 
 
+@pytest.mark.long
 async def test_it_drives_while_the_shoulder_is_held() -> None:
     """And stands when it is let go, or the pad is pulled."""
     can = FakeCan("drive")

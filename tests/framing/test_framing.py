@@ -216,6 +216,7 @@ def test_what_was_encoded_comes_out(framing: Framing, data) -> None:
     assert (fresh.bad_frames, fresh.discarded) == (0, 0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("framing", [*FRAMED, Raw(max_length=20)], ids=name)
 @given(st.lists(st.binary(max_size=50)))
 def test_no_bytes_raise(framing: Framing, chunks: list[bytes]) -> None:

@@ -60,6 +60,7 @@ def test_garbage_is_looked_at_in_few_places(framing: Any, garbage: bytes) -> Non
     assert len(found) > 1000
 
 
+@pytest.mark.long
 @pytest.mark.fault("D08")
 @pytest.mark.parametrize(
     ("framing", "garbage"),

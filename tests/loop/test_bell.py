@@ -88,6 +88,7 @@ async def test_what_was_rung_before_it_was_let_go_is_heard() -> None:
     await asyncio.wait_for(heard.wait(), 10)
 
 
+@pytest.mark.long
 async def test_the_last_holder_takes_the_descriptor_with_it() -> None:
     """One descriptor for all, as long as somebody holds it."""
     before = descriptors()
@@ -100,6 +101,7 @@ async def test_the_last_holder_takes_the_descriptor_with_it() -> None:
         assert descriptors() == before + left
 
 
+@pytest.mark.long
 def test_a_loop_that_is_closed_while_it_is_held_leaves_no_descriptor() -> None:
     """Nobody has closed an executor, or it is closed later."""
     before = descriptors()

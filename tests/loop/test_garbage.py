@@ -32,6 +32,7 @@ def collector(monkeypatch: pytest.MonkeyPatch) -> Iterator[Collector]:
     collector.stop()
 
 
+@pytest.mark.long
 @pytest.mark.promise("ROB-7")
 def test_what_is_set_aside_is_not_even_counted(collector: Collector) -> None:
     """A collection takes less than it would take to count what it need not look at."""
@@ -43,6 +44,7 @@ def test_what_is_set_aside_is_not_even_counted(collector: Collector) -> None:
     assert len(held) == 300_000
 
 
+@pytest.mark.long
 @pytest.mark.promise("ROB-7", "ROB-2")
 @pytest.mark.parametrize(("stops", "looks"), [(False, True), (True, False)])
 def test_nothing_is_looked_at_while_a_robot_stops(*, stops: bool, looks: bool) -> None:
@@ -155,6 +157,7 @@ def litter(how: str, rate: int, seconds: float, alive: int) -> dict[str, Any]:
     return seen
 
 
+@pytest.mark.long
 @pytest.mark.promise("ROB-7")
 @pytest.mark.parametrize(
     "how",
@@ -174,6 +177,7 @@ def test_the_pile_does_not_grow(request: Any, how: str, alive: int) -> None:
     assert seen["freed"] > seen["made"] / 2, seen  # young ones the interpreter itself
 
 
+@pytest.mark.long
 @pytest.mark.promise("ROB-7")
 def test_what_comes_too_fast_is_collected_in_the_midst_and_counted() -> None:
     """Of code that never lets go of the loop, with the pause in which it is bounded."""

@@ -90,6 +90,7 @@ def run(program: str, realtime: object, before: str = "") -> Any:
     return json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.mark.long
 @allowed
 @pytest.mark.parametrize(("realtime", "priority"), [(True, 50), (7, 7)])
 def test_the_thread_of_the_loop_goes_first(realtime: object, priority: int) -> None:
@@ -127,6 +128,7 @@ if "again" not in os.environ:
 """
 
 
+@pytest.mark.long
 def test_where_it_may_not_one_line_says_what_to_do() -> None:
     """The robot runs as it would without."""
     found = run(SEEN, True, WITHOUT)

@@ -222,6 +222,7 @@ async def test_a_step_slower_than_its_period_starves_nobody() -> None:
     assert job.skipped >= 100
 
 
+@pytest.mark.long
 @pytest.mark.promise("TURN-3")
 @pytest.mark.parametrize(
     "rates", [(10.0, 20.0), (30.0, 60.0), (0.1, 100.0), (3.0, 9.0)]

@@ -41,6 +41,7 @@ for name in attacks.attacks():
 """
 
 
+@pytest.mark.long
 def test_on_micropython(micropython, board) -> None:
     """Nor on MicroPython, by the same files."""
     printed = micropython.run(folder_of(board), RUN)

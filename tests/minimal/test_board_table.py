@@ -146,6 +146,7 @@ def test_mistakes_in_a_table_are_told(tmp_path, text, message) -> None:
     assert message in " ".join(map(str, caught.value.exceptions))
 
 
+@pytest.mark.long
 def test_a_folder_is_put_on_a_board_and_again(machine, tmp_path, capsys) -> None:
     """Copied, compared, reset, ready; a program that runs there is stopped first."""
     from esair.cli import main

@@ -61,6 +61,7 @@ def deploys(cable: Cable, folders: list[Path], count: int) -> None:
         assert done.ready.startswith("esair: ready")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "arm",
     [
@@ -122,6 +123,7 @@ def test_a_deploy_that_is_cut_leaves_no_mixture(tmp_path, monkeypatch, soak) -> 
     assert len(seen) > 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("away", "count"),
     [
@@ -171,6 +173,7 @@ def test_a_program_that_nothing_started_carefully_is_replaced(tmp_path) -> None:
         assert runs(cable) == "new new new new"
 
 
+@pytest.mark.long
 def test_three_quick_starts_end_at_the_prompt(tmp_path) -> None:
     """A program that its watchdog bites again and again is left out."""
     folder = tagged(tmp_path / "good", "good", watchdog=300)
@@ -186,6 +189,7 @@ def test_three_quick_starts_end_at_the_prompt(tmp_path) -> None:
         deploys(cable, [folder], 1)  # and from there a better one comes
 
 
+@pytest.mark.long
 def test_a_start_that_goes_well_is_no_quick_one(tmp_path) -> None:
     """Long after it, the next resets are counted from none."""
     folder = built(tmp_path, arm="always")

@@ -67,6 +67,7 @@ print(stand_in.outputs[16][-2:], main._loop.faults)
 """
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-1", "MIN-2")
 def test_it_stops_on_a_board(micropython, tmp_path) -> None:

@@ -192,7 +192,7 @@ def remote(micropython: MicroPython, board: Path) -> Iterator[Any]:
         process.stdin.close()
 
 
-@pytest.mark.longer
+@pytest.mark.long
 def test_a_linked_board_decides_as_one_loop(request, remote) -> None:
     """A real MicroPython; what lives on it at each step, the rest when it is there."""
     seed, many = worlds_of(request, 2)

@@ -205,7 +205,7 @@ def worlds(request) -> tuple[int, list[World]]:
     return seed, [make_world(rng) for _ in range(count)]
 
 
-@pytest.mark.longer
+@pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-2", "MIN-3", "REA-4")
 def test_std_decides_as_min(worlds) -> None:

@@ -280,6 +280,7 @@ def make_journal(rng: random.Random, losses: list[float]) -> list[list[int | Non
     return journal
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-2", "AC-2", "REA-1")
 @hypothesis.given(st.randoms(use_true_random=False))
@@ -334,6 +335,7 @@ def test_what_equals_safe_is_safe_in_std_and_min(decisions, steps) -> None:
     assert in_std(world) == told
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 @pytest.mark.promise("MIN-2", "AC-2", "REA-1")
 @hypothesis.given(st.randoms(use_true_random=False))

@@ -63,6 +63,7 @@ def equal(path: Path, robot: esair.Robot, least: int) -> None:
     assert outcome.equal > least
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", TIMES)
 def test_the_owner_repeats(tmp_path: Path, seed: int) -> None:
     """What a peer asked for comes from the recording, by the door."""

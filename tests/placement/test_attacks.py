@@ -99,6 +99,7 @@ def test_nothing_outlives_the_robot(
             time.sleep(0.005)
 
 
+@pytest.mark.long
 @pytest.mark.promise("PLC-1")
 def test_a_script_that_runs_when_it_is_imported_is_told(tmp_path: Path) -> None:
     """A child imports the script; one that begins a robot then is refused, and says why."""
@@ -126,6 +127,7 @@ def descriptors() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
 
 
+@pytest.mark.long
 @pytest.mark.promise("PLC-4")
 async def test_nothing_is_left_behind() -> None:
     """Twenty that come, die and go leave no process, descriptor or task behind."""
@@ -146,6 +148,7 @@ async def test_nothing_is_left_behind() -> None:
     await until(lambda: children_of(os.getpid()) == [])
 
 
+@pytest.mark.long
 @pytest.mark.promise("PLC-4")
 async def test_the_process_that_makes_children_is_replaced() -> None:
     """Killed, it takes its children along: they are failures, and come back."""
@@ -190,6 +193,7 @@ async def test_what_it_writes_appears_under_its_name(
     assert "--placement NAME=task" in str(robot.behaviors.query("talker").error)
 
 
+@pytest.mark.long
 @pytest.mark.promise("PLC-6")
 async def test_a_restart_begins_as_it_was_added() -> None:
     """What waits for it survives its death; what it had changed in itself does not."""

@@ -42,6 +42,7 @@ async def told(where: Any, seed: int) -> list[Any]:
     return commands
 
 
+@pytest.mark.long
 @pytest.mark.promise("PLC-7")
 @pytest.mark.parametrize("seed", [1, 5])
 async def test_the_same_commands_as_a_task(seed: int) -> None:
@@ -65,6 +66,7 @@ async def test_the_same_commands_in_many_worlds(seed: int) -> None:
     assert await told(None, seed) == await told("process", seed)
 
 
+@pytest.mark.long
 @pytest.mark.promise("PLC-7", "PLC-3")
 @pytest.mark.parametrize("kind", [Drive, ThreadDrive])
 async def test_time_stands_still_while_a_child_works(kind: type[Any]) -> None:
@@ -92,6 +94,7 @@ async def test_a_crash_comes_at_the_same_moment() -> None:
         assert isinstance(robot.behaviors.query("drive").error, esair.ProcessDiedError)
 
 
+@pytest.mark.long
 @pytest.mark.promise("PLC-3")
 async def test_a_hang_is_seen_on_the_virtual_clock() -> None:
     """No virtual time passes while it hangs: real time counts for that alone."""

@@ -168,6 +168,7 @@ async def test_the_death_of_a_behavior_is_a_crash(fault: str) -> None:
         assert "misbehave" in error.words  # type: ignore[union-attr] # where it was
 
 
+@pytest.mark.long
 @pytest.mark.promise("PLC-3")
 @pytest.mark.fault("B07")
 @pytest.mark.parametrize("fault", ["hang", LONG_STOP])
@@ -188,6 +189,7 @@ async def test_a_behavior_that_hangs_is_killed(fault: str) -> None:
         assert "misbehave" in str(error)
 
 
+@pytest.mark.long
 @pytest.mark.promise("PLC-3", "PLC-2")
 @pytest.mark.parametrize("fault", DEATHS)
 async def test_a_reaction_that_dies_is_blind(fault: str) -> None:
@@ -207,6 +209,7 @@ async def test_a_reaction_that_dies_is_blind(fault: str) -> None:
         await wheels.until(Twist(0.3, 0.0), timeout=10.0)
 
 
+@pytest.mark.long
 @pytest.mark.promise("PLC-2")
 @pytest.mark.parametrize("fault", ["hang", LONG_STOP])
 async def test_a_reaction_that_owes_an_answer_is_blind(fault: str) -> None:
@@ -228,6 +231,7 @@ async def test_a_reaction_that_owes_an_answer_is_blind(fault: str) -> None:
         await wheels.until(Twist(0.3, 0.0), timeout=10.0)
 
 
+@pytest.mark.long
 @pytest.mark.promise("PLC-3")
 @pytest.mark.fault("D01")
 @pytest.mark.parametrize("fault", [*DEATHS, "hang", LONG_STOP])

@@ -163,7 +163,7 @@ async def history(seed: int, kind: type[Seeing]) -> Truth:
     return truth
 
 
-@pytest.mark.longer
+@pytest.mark.long
 @pytest.mark.promise("PRO-2")
 @pytest.mark.parametrize("kind", [Stop, Guard])
 async def test_not_one_command_slips_through(

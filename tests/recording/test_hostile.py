@@ -94,6 +94,7 @@ def test_two_hundred_hostile_recordings_do_no_harm(folder: Path) -> None:
     assert not (folder / "harmed").exists()
 
 
+@pytest.mark.long
 def test_those_that_name_code_do_no_harm(folder: Path) -> None:
     """A few of each kind: classes, modules, callables and files that are named."""
     wanted = dict(list(files(folder).items())[4:160:20])

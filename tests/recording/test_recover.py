@@ -42,6 +42,7 @@ def write(path: Path, count: int) -> None:
     asyncio.run(main())
 
 
+@pytest.mark.long
 @pytest.mark.promise("REC-3")
 @pytest.mark.fault("P03")
 @pytest.mark.real_clock
@@ -63,6 +64,7 @@ def test_any_cut_at_any_byte_is_readable(tmp_path: Path) -> None:
     assert counts[-1] == 60
 
 
+@pytest.mark.long
 @pytest.mark.promise("REC-3")
 @pytest.mark.fault("P04")
 @pytest.mark.real_clock

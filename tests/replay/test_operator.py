@@ -183,6 +183,7 @@ def test_a_file_that_was_killed_is_repeated_up_to_there(running: Running) -> Non
     running.repeats()
 
 
+@pytest.mark.long
 def test_a_secret_is_not_kept(running: Running) -> None:
     """The run is repeated up to there, and it says so."""
     with connect("beacon") as client:

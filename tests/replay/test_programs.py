@@ -94,6 +94,7 @@ def test_the_program_is_named_in_any_form(folder: Path, made_of: str) -> None:
     assert not [name for name in os.listdir(folder) if name in {"run-2.mcap", "ended"}]
 
 
+@pytest.mark.long
 def test_without_a_name_it_says_which(folder: Path) -> None:
     """A recording never runs a program by itself: it may be somebody else's."""
     code, said = verbs(folder, "replay", "run.mcap")
@@ -102,6 +103,7 @@ def test_without_a_name_it_says_which(folder: Path) -> None:
     assert f"name it: --with {folder / 'rover.py'}" in said
 
 
+@pytest.mark.long
 def test_what_was_changed_in_the_program_shows(folder: Path) -> None:
     """The class by its name, and the first thing that is decided otherwise."""
     (folder / "other.py").write_text(PROGRAM.replace("GAIN * gps.x", "gps.x"))
@@ -112,6 +114,7 @@ def test_what_was_changed_in_the_program_shows(folder: Path) -> None:
     assert "follow does otherwise" in said
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -133,6 +136,7 @@ def test_a_program_that_runs_no_robot_is_named(
     assert "Traceback" not in said
 
 
+@pytest.mark.long
 def test_calls_that_cannot_repeat_are_named_in_a_program(folder: Path) -> None:
     """``--check`` of a robot without a file."""
     code, said = verbs(folder, "replay", "run.mcap", "--check", "--with", "rover.py")

@@ -52,7 +52,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.promise("REP-2")
 @pytest.mark.usefixtures("no_drivers")
-@pytest.mark.longer
+@pytest.mark.long
 def test_the_same_code_decides_the_same(recording: Path) -> None:
     """To the last event of the stop, far quicker than it was."""
     outcome = Replay(recording).run(robots.make())

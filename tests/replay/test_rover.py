@@ -38,6 +38,7 @@ async def drive(robot: esair.Robot, simulation: Simulation | None) -> None:
                 (line.plug if plugged else line.unplug)()
 
 
+@pytest.mark.long
 @pytest.mark.promise("REP-2", "TURN-6")
 def test_a_run_with_unplugged_sensors_is_repeated(tmp_path: Path) -> None:
     """Serial lines, CAN, I²C, a coroutine that plans: equal to the end."""

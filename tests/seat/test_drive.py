@@ -310,6 +310,7 @@ async def test_the_terminal_goes_while_it_drives(rover, seen, end):
                 assert set(seen.commands[count:]) <= {STILL}  # typed in the gap
 
 
+@pytest.mark.long
 @pytest.mark.promise("OPS-4")
 async def test_q_gives_back_and_leaves(rover, seen):
     """The key to leave releases at once, exit code 0."""

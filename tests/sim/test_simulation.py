@@ -191,6 +191,7 @@ async def test_device_on_a_wire_in_memory(check: Check) -> None:
         await check(simulation)
 
 
+@pytest.mark.long
 @pytest.mark.virtual_clock
 async def test_time_passes_with_the_loops_clock() -> None:
     """A minute of the loop is a minute of the world."""

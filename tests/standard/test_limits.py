@@ -148,6 +148,7 @@ LIBRARIES = ["asyncio", "anyio"]  # `bus.wait_for` is another thing
 CORE = ["actions", "connections", "loop", "resources", "supervisors", "buses", "abc.py"]
 
 
+@pytest.mark.long
 @pytest.mark.fault("X08")
 @pytest.mark.parametrize("part", CORE)
 def test_the_core_uses_nothing_that_loses_a_cancellation(part: str) -> None:

@@ -176,6 +176,7 @@ LATE = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.promise("ROB-2")
 @pytest.mark.fault("O03")
 @pytest.mark.parametrize("main", LATE.values(), ids=LATE)
@@ -189,6 +190,7 @@ async def test_a_second_signal_that_is_late_changes_nothing(
     assert is_safe(lines)
 
 
+@pytest.mark.long
 @pytest.mark.promise("ROB-2")
 async def test_a_program_that_goes_on_after_a_signal_can_be_stopped(
     tmp_path: Path,
@@ -318,6 +320,7 @@ async def test_no_number_of_interrupts_breaks_off_the_stop(
     assert [line for line in lines if line[0].isdigit()][-1] == "0.0", errors
 
 
+@pytest.mark.long
 @pytest.mark.promise("ROB-2", "ROB-3")
 @pytest.mark.fault("B05")
 async def test_sys_exit_in_a_behavior_is_its_own_failure(tmp_path: Path) -> None:
@@ -386,7 +389,7 @@ async def test_run_ends_after_its_duration(tmp_path: Path) -> None:
 
 @pytest.mark.promise("ROB-2", "AC-4")
 @pytest.mark.fault("O16", "D21")
-@pytest.mark.longer
+@pytest.mark.long
 async def test_a_stuck_driver_does_not_delay_the_exit(tmp_path: Path) -> None:
     """A blocking call that never returns is left behind; the program ends in two seconds."""
     main = """

@@ -115,7 +115,7 @@ def repeats(config: pytest.Config) -> int:
         *(pytest.param(s, 3, marks=pytest.mark.long) for s in STUCK),
     ],
 )
-@pytest.mark.longer
+@pytest.mark.long
 async def test_the_ladder_of_exits_with_a_stuck_loop(
     tmp_path: Path, stuck: str, count: int, request: pytest.FixtureRequest
 ) -> None:
@@ -144,6 +144,7 @@ TIDY = """
 """
 
 
+@pytest.mark.long
 @pytest.mark.promise("ROB-6")
 async def test_what_is_interrupted_may_end_in_peace(tmp_path: Path) -> None:
     """It is interrupted once, not again and again in what it does to end."""
@@ -292,7 +293,7 @@ async def test_no_runner_waits_for_what_would_not_end(
 @pytest.mark.parametrize(
     "how", ["anyio", "uvloop", "debug", "optimized", "scope", "eager"]
 )
-@pytest.mark.longer
+@pytest.mark.long
 async def test_a_robot_lives_in_every_kind_of_loop(tmp_path: Path, how: str) -> None:
     """It starts, drives, and ends safe on a signal, without a spin."""
     if how == "uvloop":

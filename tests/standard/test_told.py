@@ -32,6 +32,7 @@ def said(folder, port: str, *words: str) -> tuple[int, list[str]]:
     return done.returncode, done.stderr.replace(f"{folder}/", "").splitlines()
 
 
+@pytest.mark.long
 @pytest.mark.real_clock
 def test_a_crash_ends_a_script_with_one_block(tmp_path) -> None:
     """The line of the user's code, and no line of esair's."""

@@ -93,6 +93,7 @@ async def test_a_log_fed_at_once(fake_can) -> None:
         )
 
 
+@pytest.mark.long
 async def test_a_log_fed_in_its_own_time(fake_can) -> None:
     """At the pace of the recording nothing is dropped at all."""
     bus, frames = fake_can("drive"), recorded()

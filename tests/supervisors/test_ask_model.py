@@ -311,7 +311,7 @@ class AskMachine(RuleBasedStateMachine):
             self.loop.close()
 
 
-@pytest.mark.longer
+@pytest.mark.long
 @pytest.mark.promise("BS-10", "BS-11", "BS-4")
 def test_every_order_has_its_one_outcome(request: pytest.FixtureRequest) -> None:
     """Whatever becomes of askers and workers, in whatever order."""

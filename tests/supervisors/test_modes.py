@@ -687,7 +687,7 @@ def _judge_commands(wheels: _Wheels, mode_of: dict[float, str]) -> None:
         last = mode
 
 
-@pytest.mark.longer
+@pytest.mark.long
 @pytest.mark.promise("MODE-2")
 def test_whatever_interrupts_a_switch_leaves_one_mode(
     request: pytest.FixtureRequest,

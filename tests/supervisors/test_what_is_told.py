@@ -369,6 +369,7 @@ async def test_nothing_is_kept_of_requests_that_are_over() -> None:
         assert not robot._behaviors.mediator.pending.of_asker
 
 
+@pytest.mark.long
 @pytest.mark.promise("CALL-2")
 async def test_who_waits_for_a_device_leaves_nothing_at_its_call() -> None:
     """However often it looks again."""

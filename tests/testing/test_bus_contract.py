@@ -134,6 +134,7 @@ async def test_a_bus_without_a_mistake_passes(test: str) -> None:
     await getattr(suite_of(Plain), test)()
 
 
+@pytest.mark.long
 @pytest.mark.virtual_clock
 @pytest.mark.parametrize(
     ("kind", "test"),

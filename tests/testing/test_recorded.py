@@ -105,6 +105,7 @@ def drive(
     return readings, commands, status
 
 
+@pytest.mark.long
 @pytest.mark.promise("REP-1")
 @pytest.mark.real_clock
 def test_values_come_again_when_they_came(path: Path) -> None:
@@ -118,6 +119,7 @@ def test_values_come_again_when_they_came(path: Path) -> None:
     assert len(readings) > 20
 
 
+@pytest.mark.long
 @pytest.mark.promise("REP-1")
 @pytest.mark.real_clock
 def test_losses_and_faults_come_again(path: Path) -> None:

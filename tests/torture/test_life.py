@@ -51,6 +51,7 @@ def test_who_works_again_in_time_is_no_finding() -> None:
     assert found_in(PLANTS["stays in panic"][0], calm=14.5) == set()
 
 
+@pytest.mark.long
 @pytest.mark.promise("TOR-1")
 def test_who_was_looked_at_for_less_is_not_judged() -> None:
     """A work that ends by itself, later than in the stories in which nothing is done."""
@@ -58,6 +59,7 @@ def test_who_was_looked_at_for_less_is_not_judged() -> None:
     assert found_in(lifeless.mission, steps) == set()
 
 
+@pytest.mark.long
 @pytest.mark.promise("TOR-1")
 def test_what_is_declared_is_owed_too() -> None:
     """A pause of ten seconds is no habit, but it may be promised."""
@@ -67,6 +69,7 @@ def test_what_is_declared_is_owed_too() -> None:
     assert found_in(lifeless.patrol, (), calm=23.5) == set()
 
 
+@pytest.mark.long
 @pytest.mark.promise("TOR-1")
 def test_who_may_be_idle_owes_nothing() -> None:
     """All of it, or to one partner."""

@@ -30,6 +30,7 @@ def rerun(pytester: pytest.Pytester, target: Target, report: Report) -> Path:
     return file
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("robot", "rule", "component", "steps"),
     [

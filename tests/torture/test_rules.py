@@ -155,6 +155,7 @@ def test_what_is_computed_has_no_stand_in() -> None:
     assert World(target, Story(0, (), 5.0)).run().violations == ()
 
 
+@pytest.mark.long
 def test_a_robot_that_does_not_start_is_tried_once() -> None:
     """There is nothing that could be done to it."""
     target = Target.of(f"{HERE / 'planted.py'}:no_safe", own=True)
@@ -163,6 +164,7 @@ def test_a_robot_that_does_not_start_is_tried_once() -> None:
     assert [each.violation.rule for each in report.findings] == ["start"]
 
 
+@pytest.mark.long
 def test_an_interrupt_ends_the_search_after_its_story() -> None:
     """What was found until then is told; the next interrupt is Python's again."""
     target = Target("robot", threaded)
@@ -263,6 +265,7 @@ def test_who_gives_back_what_its_thread_has_not_begun_with_is_no_finding() -> No
     assert World(Target("robot", make), Story(0, (), 1.0)).run().violations == ()
 
 
+@pytest.mark.long
 @pytest.mark.promise("REC-1")
 def test_a_recording_changes_no_story(tmp_path: Path) -> None:
     """Every device is told the same at the same moments, by many who wish the same."""

@@ -19,7 +19,7 @@ EACH = 500
 SEED = 100
 
 
-@pytest.mark.longer
+@pytest.mark.long
 @pytest.mark.promise("CALL-2", "PRO-1", "ROB-2", "ROB-4", "BS-10", "AC-4")
 @pytest.mark.fault("D21", "D22", "R09", "R11", "X06", "B10")
 def test_soak(request: pytest.FixtureRequest) -> None:
@@ -74,6 +74,7 @@ def test_the_stop_closes_what_an_addition_in_vain_undoes() -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.promise("SUP-3")
 def test_the_demo_ends_though_it_did_not_hear_its_cancellation() -> None:
     """It took its own removal for that of its mapper, and went on for ever."""

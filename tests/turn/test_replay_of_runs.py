@@ -42,6 +42,7 @@ def run(what: str, seed: int, file: Path, hash_seed: int, seconds: float) -> lis
     return done.stdout.splitlines()
 
 
+@pytest.mark.long
 @pytest.mark.promise("TURN-1", "TURN-6")
 def test_live_runs_repeat_exactly(
     tmp_path: Path, request: pytest.FixtureRequest

@@ -238,6 +238,7 @@ def test_a_silent_watchdog_is_noticed_and_replaced(
     many(request, silent_after, [0.1], 50, 0.5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("policy", ["stop", "alarm"])
 def test_killed_while_its_watchdog_is_silent(
     policy: Literal["stop", "alarm"], request: pytest.FixtureRequest

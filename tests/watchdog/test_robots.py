@@ -66,6 +66,7 @@ def test_a_robot_that_dies_or_hangs_is_made_safe(way: str) -> None:
     assert way == "kill" or " in die: wheels safe" in said  # the culprit
 
 
+@pytest.mark.long
 @pytest.mark.promise("GRD-1")
 @pytest.mark.fault("B06")
 def test_a_loop_that_is_stopped_is_made_safe() -> None:
@@ -75,6 +76,7 @@ def test_a_loop_that_is_stopped_is_made_safe() -> None:
     assert code != 0
 
 
+@pytest.mark.long
 @pytest.mark.promise("GRD-3")
 def test_an_orderly_end_leaves_no_watchdog() -> None:
     """It says nothing, and no process is left."""
@@ -84,6 +86,7 @@ def test_an_orderly_end_leaves_no_watchdog() -> None:
     assert "esair watchdog" not in said
 
 
+@pytest.mark.long
 @pytest.mark.promise("GRD-2")
 @pytest.mark.fault("O07")
 def test_what_the_watchdog_cannot_stop_is_said() -> None:
@@ -93,6 +96,7 @@ def test_what_the_watchdog_cannot_stop_is_said() -> None:
     assert lines == ["dumb: UNWATCHED: its driver cannot say its safe command as bytes"]
 
 
+@pytest.mark.long
 @pytest.mark.promise("GRD-3")
 @pytest.mark.fault("O06")
 def test_a_watchdog_that_dies_halts_the_robot() -> None:

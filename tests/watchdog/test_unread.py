@@ -39,7 +39,7 @@ def unread() -> Iterator[int]:
     os.close(writer)
 
 
-@pytest.mark.longer
+@pytest.mark.long
 @pytest.mark.parametrize("log", ["warnings", "all"])
 @pytest.mark.parametrize(
     "way",

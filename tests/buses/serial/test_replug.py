@@ -63,6 +63,7 @@ async def replug(times: int, rest: float) -> None:
     assert line.sent[-1] == b"speed=0"
 
 
+@pytest.mark.long
 @pytest.mark.virtual_clock
 @pytest.mark.fault("D04", "D01")
 @pytest.mark.promise("RES-2")
