@@ -130,7 +130,10 @@ def test_a_change_costs_the_same_in_a_large_robot(many: int) -> None:
 
 @pytest.mark.promise("ROB-2", "SUP-2")
 def test_add_and_stop_take_few_calls() -> None:
-    """Counted on the loop that ships; the calls are told where they are too many."""
+    """Counted on the loop that ships; the calls are told where they are too many.
+
+    The least of three: a thread that ends later takes the loop round once more.
+    """
 
     async def small() -> tuple[collections.Counter[str], collections.Counter[str]]:
         async with robot_of(1) as robot:
@@ -139,7 +142,10 @@ def test_add_and_stop_take_few_calls() -> None:
             stopped = await calls(lambda: robot.stop("it is counted"))
         return added, stopped
 
-    added, stopped = on_the_loop_that_ships(small())
+    counted = [on_the_loop_that_ships(small()) for _ in range(3)]
+    added, stopped = (
+        min(each, key=lambda c: c.total()) for each in zip(*counted, strict=True)
+    )
     print(f"add: {added.total()} calls", f"stop: {stopped.total()} calls", sep="\n")  # noqa: T201
     assert added.total() <= ADD, added.most_common(60)
     assert stopped.total() <= STOP, stopped.most_common(60)
