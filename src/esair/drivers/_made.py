@@ -247,6 +247,13 @@ class MadeSensor(Sensor[Any]):
     object: Made
     _read: Callable[[], Any]
 
+    def _reads(self, made: Made, value: str | Sequence[str], limits: Any) -> None:
+        """Read a value of an object, or several."""
+        self.object = made
+        self._read = made.reading(value)
+        if limits is not None:
+            self.limits: tuple[float, float] = limits
+
     def open(self) -> None:
         """Make the object, and set it up."""
         self.object.open()

@@ -13,6 +13,28 @@ from esair.buses import Inbox
 T = TypeVar("T")
 
 
+class FakeDescriptor:
+    """A descriptor of a fake, that becomes readable when it is told to."""
+
+    def __init__(self) -> None:
+        self._event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+
+    def fileno(self) -> int:
+        """Return the descriptor; -1 once it is closed."""
+        return self._event
+
+    def wake(self) -> None:
+        """Be readable."""
+        if self._event >= 0:
+            os.eventfd_write(self._event, 1)
+
+    def close(self) -> None:
+        """Let the descriptor go."""
+        if self._event >= 0:
+            os.close(self._event)
+            self._event = -1
+
+
 @contextlib.contextmanager
 def arrivals(
     fileno: int, take: Callable[[], Iterable[T]], *, limit: int = 64

@@ -40,7 +40,7 @@ from typing import Any, Required, Self, TypedDict, Unpack
 from esair.buses import I2CBus
 from esair.buses.i2c import SILENT, probe, transfer
 from esair.buses.spi import SpiBus
-from esair.drivers.object import Made
+from esair.drivers._made import Made, MadeActuator, MadeSensor
 from esair.exceptions import (
     ConfigError,
     DeviceFaultError,
@@ -50,10 +50,8 @@ from esair.exceptions import (
 )
 from esair.loop import now
 from esair.resources import (
-    Actuator,
     ActuatorSettings,
     Resource,
-    Sensor,
     SensorSettings,
 )
 
@@ -289,6 +287,7 @@ class _OnPart(Resource):
 
     bus: I2CBus | SpiBus
     deadline: float = 2.0
+    object: Made
 
     def __init__(
         self,
@@ -306,7 +305,7 @@ class _OnPart(Resource):
             told = "on an SPI bus chip= is needed, and only there; address= is of I²C"
             raise ConfigError(self.name, "chip", told)
         self._chip = chip
-        self._object = Made(
+        self.object = Made(
             self,
             library,
             {**(arguments or {}), **({} if address is None else {"address": address})},
@@ -320,7 +319,7 @@ class _OnPart(Resource):
     @property
     def can_tell_set_up(self) -> bool:
         """Whether it has a ``set_up``."""
-        return bool(self._object.set_up)
+        return bool(self.object.set_up)
 
     def open(self) -> None:
         """Have the driver set the part up; on the thread of the bus."""
@@ -335,10 +334,10 @@ class _OnPart(Resource):
             wire = AdafruitBus(bus)
         self._wire = wire
         try:
-            self._object.open(wire, *first)
-            for text, (path, _) in self._object.set_up.items():
+            self.object.open(wire, *first)
+            for text, (path, _) in self.object.set_up.items():
                 before = wire.transfers
-                self._kept[text] = self._object.get(path)
+                self._kept[text] = self.object.get(path)
                 if wire.transfers == before:
                     raise ConfigError(
                         self.name,
@@ -347,7 +346,7 @@ class _OnPart(Resource):
                         "driver remembers this one, and a restart would not show",
                     )
         except Exception as error:
-            self._object.it = None
+            self.object.it = None
             silent = wire.is_silent and not isinstance(error, ConfigError)
             if silent or _is_silence(error) or not self.bus.is_open:
                 raise DeviceLostError(self.name, describe(error)) from error
@@ -355,13 +354,13 @@ class _OnPart(Resource):
 
     def close(self) -> None:
         """Forget the driver's object; the wire is the robot's, and stays open."""
-        self._object.it = None
+        self.object.it = None
 
     def is_set_up(self) -> bool:
         """Tell whether all of ``set_up`` is as it was after the opening."""
         return all(
-            self._object.get(path) == self._kept[text]
-            for text, (path, _) in self._object.set_up.items()
+            self.object.get(path) == self._kept[text]
+            for text, (path, _) in self.object.set_up.items()
         )
 
     @contextlib.contextmanager
@@ -394,7 +393,7 @@ class _SensorSettings(_PartSettings, SensorSettings): ...
 class _ActuatorSettings(_PartSettings, ActuatorSettings): ...
 
 
-class AdafruitSensor(_OnPart, Sensor[Any]):
+class AdafruitSensor(_OnPart, MadeSensor):
     """A part that is read through its CircuitPython driver.
 
     Args:
@@ -413,28 +412,18 @@ class AdafruitSensor(_OnPart, Sensor[Any]):
         self, *, value: str | Sequence[str], **settings: Unpack[_SensorSettings]
     ) -> None:
         super().__init__(**settings)
-        self._read = self._object.reading(value)
-
-    def read(self) -> Any:
-        """Read it; on the thread of the bus, nobody else in between."""
-        return self._read()
+        self._read = self.object.reading(value)
 
 
-class AdafruitActuator(_OnPart, Actuator[Any]):
+class AdafruitActuator(_OnPart, MadeActuator):
     """A part that is written to through its CircuitPython driver.
 
     Args:
-        library: The driver's class as ``module:Class``, or anything that is called with
-            a ``busio.I2C``, or a ``busio.SPI`` and a chip select, and makes an object.
         attribute: What a command is assigned to, such as ``"channels[0].duty_cycle"``;
             with ``()`` at the end it is called with the command.
         safe: The safe command; commands are of its type.
         limits: Least and greatest command.
-        address: The address of the part on I²C; the driver's own default if None.
-        chip: The number of its chip select on SPI.
-        arguments: Further keywords for the driver's class.
-        set_up: Attributes that are assigned at each opening, by their paths. A part that
-            has restarted is known by them, because they are others then.
+        **settings: ``library``, ``address`` and more, as of an `AdafruitSensor`.
     """
 
     def __init__(
@@ -448,15 +437,11 @@ class AdafruitActuator(_OnPart, Actuator[Any]):
         super().__init__(**settings)
         self.safe = safe
         self.limits: tuple[float, float] | None = limits
-        self._tell = self._object.telling(attribute)
+        self._tell = self.object.telling(attribute)
         address = settings.get("address")
         where = "" if address is None else f" at {address:#04x}"
         where += "" if self._chip is None else f" at {self._chip}"
         self.claim: str = f"{attribute} of {settings['library']}{where}"
-
-    def write(self, command: Any) -> None:
-        """Assign the command, or call with it; on the thread of the bus."""
-        self._tell(command)
 
 
 def _is_silence(error: Exception) -> bool:

@@ -134,10 +134,7 @@ class GpiozeroSensor(MadeSensor):
     ) -> None:
         super().__init__(**settings)
         value = _known(self, device, READS)
-        self.object: Made = Made(self, getattr(gpiozero, device), arguments)
-        self._read = self.object.reading(value)
-        if limits is not None:
-            self.limits: tuple[float, float] = limits
+        self._reads(Made(self, getattr(gpiozero, device), arguments), value, limits)
 
 
 class GpiozeroActuator(MadeActuator):

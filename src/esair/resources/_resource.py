@@ -9,7 +9,7 @@ import itertools
 import typing
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any, ClassVar, TypedDict
 
 import attrs
 
@@ -60,6 +60,9 @@ class Resource(abc.Resource):
         identity: What `identify` has to answer, if the class has one.
         **settings: First values of the settings that the class declares.
     """
+
+    counted: ClassVar[tuple[str, ...]] = ()
+    """The attributes that the driver counts with; see `counts`."""
 
     required: bool = False
     """Whether the robot refuses to start while the device is not there."""
@@ -216,9 +219,9 @@ class Resource(abc.Resource):
         """Return what the driver counts itself: what it could not read, or threw away.
 
         It is asked by `Journal.counts`, in the event loop, and shown beside what is
-        counted for every sensor or actuator.
+        counted for every sensor or actuator: the attributes that `counted` names.
         """
-        return {}
+        return {name: getattr(self, name) for name in self.counted}
 
     def report_lost(self, error: BaseException | None = None) -> None:
         """Say from a driver, on any thread, that the device is gone."""

@@ -160,6 +160,7 @@ class Camera(Sensor[Any]):
     """
 
     deadline: float = OPEN_TIMEOUT + 2.0
+    counted = ("dropped",)
 
     def __init__(
         self,
@@ -198,10 +199,6 @@ class Camera(Sensor[Any]):
         import numpy as np
 
         return np.ndarray
-
-    def counts(self) -> dict[str, int]:
-        """Return the pictures that were thrown away."""
-        return {"dropped": self.dropped}
 
     async def open(self) -> None:
         """Find the camera, open it and wait for its first picture.

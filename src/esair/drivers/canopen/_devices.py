@@ -108,6 +108,8 @@ class CanopenSensor(_Object, Sensor[Any]):
         bad_frames: How many PDOs were too short.
     """
 
+    counted = ("bad_frames",)
+
     def __init__(
         self, *, pdo: bool = False, **settings: Unpack[_SensorSettings]
     ) -> None:
@@ -129,10 +131,6 @@ class CanopenSensor(_Object, Sensor[Any]):
     def pushes(self) -> bool:
         """Whether it comes in a PDO."""
         return self.pdo
-
-    def counts(self) -> dict[str, int]:
-        """Return the PDOs that were too short."""
-        return {"bad_frames": self.bad_frames}
 
     async def open(self) -> None:
         """Open the node; find the PDO that has the object, if it is to come in one."""
@@ -186,16 +184,9 @@ class CanopenActuator(_Object, Actuator[Any]):
     still waits when a newer one comes is not sent.
 
     Args:
-        node: The id of the node, 1 to 127.
-        eds: Its EDS or DCF file.
-        object: The object: its name, ``"record.member"``, its index, or its index and
-            subindex.
         safe: The safe command.
-        factor: What the number on the wire is multiplied with, to come to its unit.
-        heartbeat: The heartbeat period that the node is told, in seconds; it keeps its
-            own if None.
-        sdo_timeout: How long the node may take to answer, in seconds.
         limits: Narrower limits than those of the file.
+        **settings: ``node``, ``eds``, ``object`` and more, as of a `CanopenSensor`.
     """
 
     def __init__(

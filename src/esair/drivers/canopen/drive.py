@@ -78,6 +78,8 @@ class DriveState(OnDrive, Sensor[DriveReading]):
         bad_frames: How many PDOs were too short.
     """
 
+    counted = ("bad_frames",)
+
     def __init__(
         self,
         *,
@@ -91,10 +93,6 @@ class DriveState(OnDrive, Sensor[DriveReading]):
         self.position_factor = position_factor
         self.velocity_factor = velocity_factor
         self.bad_frames: int = 0
-
-    def counts(self) -> dict[str, int]:
-        """Return the PDOs that were too short."""
-        return {"bad_frames": self.bad_frames}
 
     async def stream(self) -> AsyncIterator[DriveReading]:
         """Yield what it tells; its second PDO completes a reading."""
@@ -125,18 +123,13 @@ class Drive(DriveActuator, Actuator[float]):
     once; it is opened again and not enabled until a fresh command.
 
     Args:
-        node: The id of the node, 1 to 127.
-        eds: Its EDS or DCF file; the objects of the standard if None.
         factor: The unit of its target velocity, in rad/s.
         limits: The least and the greatest velocity, in rad/s.
         stop: How the safe command stops it: ``"quick_stop"``, by the ramp for that, and
             mostly without torque then; or ``"halt"``, which holds it enabled.
-        tell_every: How often it tells its state, in seconds; without a SYNC.
-        sync: The period of the SYNC with which it takes its target, in seconds; the
-            same for all devices on a bus. It is sent by the event loop, so it ends when
-            that hangs.
-        heartbeat: The heartbeat period that it is told, in seconds.
-        sdo_timeout: How long it may take to answer, in seconds.
+        sync: The period of the SYNC with which it takes its target, in seconds. It is
+            sent by the event loop, so it ends when that hangs.
+        **settings: ``node``, ``eds`` and more, as of a `DriveState`.
     """
 
     safe: float = 0.0

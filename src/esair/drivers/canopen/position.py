@@ -33,14 +33,9 @@ class PositionDrive(DriveActuator, Actuator[Move]):
     `esair.drivers.canopen.drive.Drive`.
 
     Args:
-        node: The id of the node, 1 to 127.
-        eds: Its EDS or DCF file; the objects of the standard if None.
         factor: The unit of its target position, in rad.
         limits: The least and the greatest position, in rad.
-        stop: ``"quick_stop"`` or ``"halt"``.
-        tell_every: How often it tells its state, in seconds.
-        heartbeat: The heartbeat period that it is told, in seconds.
-        sdo_timeout: How long it may take to answer, in seconds.
+        **settings: ``node``, ``eds``, ``stop`` and more, as there.
     """
 
     safe: Move = Move(stop=True)

@@ -62,6 +62,7 @@ class DbcSensor(Sensor[Any]):
     bad_frames: int
 
     bus: CanBus
+    counted = "bad_frames", "repeated", "dropped"
 
     bad_frame_limit: int = 10
     """How many frames in a row may be bad, or repeated, before it is a fault."""
@@ -112,14 +113,6 @@ class DbcSensor(Sensor[Any]):
     def dropped(self) -> int:
         """How many frames gave way because nobody took them in time."""
         return self._dropped + (0 if self._inbox is None else self._inbox.dropped)
-
-    def counts(self) -> dict[str, int]:
-        """Return the frames that gave no reading, and why."""
-        return {
-            "bad_frames": self.bad_frames,
-            "repeated": self.repeated,
-            "dropped": self.dropped,
-        }
 
     @property
     def value_type(self) -> Any:

@@ -6,6 +6,7 @@ import errno
 import os
 from collections.abc import Iterable, Mapping
 
+from esair.drivers._on_descriptor import FakeDescriptor
 from esair.drivers.gamepad import AXES, BUTTONS, Axis
 
 _CODES = {name: code for code, name in BUTTONS.items()}
@@ -103,15 +104,12 @@ class FakeGamepad:
             link.tell((kind, code, value))
 
 
-class _FakeLink:
+class _FakeLink(FakeDescriptor):
     def __init__(self, pad: FakeGamepad) -> None:
+        super().__init__()
         self.is_gone = False
         self._pad = pad
         self._events: list[tuple[int, int, int]] = []
-        self._event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-
-    def fileno(self) -> int:
-        return self._event
 
     def events(self) -> list[tuple[int, int, int]]:
         self._check()
@@ -128,9 +126,7 @@ class _FakeLink:
 
     def close(self) -> None:
         self._pad.forget(self)
-        if self._event >= 0:
-            os.close(self._event)
-            self._event = -1
+        super().close()
 
     def _check(self) -> None:
         if self.is_gone:
@@ -141,7 +137,3 @@ class _FakeLink:
             self._events = [(0, 3, 0)]
         self._events += [event, (0, 0, 0)]
         self.wake()
-
-    def wake(self) -> None:
-        if self._event >= 0:
-            os.eventfd_write(self._event, 1)

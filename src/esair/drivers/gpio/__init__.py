@@ -333,12 +333,9 @@ class DigitalOutput(_OnLine, Actuator[bool]):
     where that matters a resistor decides it.
 
     Args:
-        chip: The path, the name or the label of the chip.
-        line: The number or the name of the line.
         safe: The safe command.
         drive: What it drives: ``"push_pull"``, ``"open_drain"``, ``"open_source"``.
-        active_low: Whether True is a low voltage.
-        opener: Requests something else than a line of the kernel, such as a fake.
+        **settings: ``chip``, ``line`` and more, as of a `DigitalInput`.
     """
 
     def __init__(

@@ -8,6 +8,7 @@ import errno
 import os
 import threading
 
+from esair.drivers._on_descriptor import FakeDescriptor
 from esair.drivers.gpio import Edge, LineRequest
 from esair.exceptions import DeviceFaultError, DeviceLostError
 
@@ -105,8 +106,9 @@ class FakeGpioChip:
             self._requested.pop(line, None)
 
 
-class _FakeLine:
+class _FakeLine(FakeDescriptor):
     def __init__(self, chip: FakeGpioChip, number: int, request: LineRequest) -> None:
+        super().__init__()
         self.request = request
         self._chip = chip
         self._number = number
@@ -118,7 +120,6 @@ class _FakeLine:
         self._pending: asyncio.TimerHandle | None = None
         self.is_stale = False
         """Whether the chip was away since it was requested."""
-        self._event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         if request.output is not None:
             self.set(request.output)
 
@@ -126,9 +127,6 @@ class _FakeLine:
         if self.is_stale:
             raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
         self._chip.check()
-
-    def fileno(self) -> int:
-        return self._event
 
     def get(self) -> bool:
         self._check()
@@ -150,9 +148,7 @@ class _FakeLine:
         self._steady_for = seconds
 
     def close(self) -> None:
-        if self._event >= 0:
-            os.close(self._event)
-            self._event = -1
+        super().close()
         if not self.is_stale:
             self._chip.release(self._number)
 
@@ -164,10 +160,6 @@ class _FakeLine:
             return
         loop = asyncio.get_running_loop()
         self._pending = loop.call_later(self._steady_for, self._edge, level)
-
-    def wake(self) -> None:
-        if self._event >= 0:
-            os.eventfd_write(self._event, 1)
 
     def _edge(self, level: bool) -> None:
         if level is self._steady:

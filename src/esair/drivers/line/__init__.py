@@ -138,6 +138,8 @@ class LineSensor(_OnLine, Sensor[float]):
         bad_lines: How many values were no number.
     """
 
+    counted = ("bad_lines",)
+
     def __init__(
         self,
         *,
@@ -184,10 +186,6 @@ class LineSensor(_OnLine, Sensor[float]):
         except LineError as error:
             self.bad_lines += 1
             raise DeviceFaultError(self.name, str(error)) from error
-
-    def counts(self) -> dict[str, int]:
-        """Return the values that were no number."""
-        return {"bad_lines": self.bad_lines}
 
     async def stream(self) -> AsyncIterator[float]:
         """Yield each value that comes; what is no number is counted and left out."""

@@ -209,15 +209,10 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
 
     Args:
         safe: The value that makes it safe.
-        unit: The number of the unit; 1 to 247 on a serial line.
-        register: The first register, as it is on the wire: from 0.
-        table: ``"holding"`` or ``"coil"``.
-        type: What the registers are, such as ``"int16"`` or ``"float32"``.
-        word_order: Which register of several comes first.
-        factor: What the number on the wire is multiplied with, to come to its unit.
         limits: Narrower limits than those of its type.
-        timeout: How long the unit may take to answer, in seconds.
         own_timeout: After how many seconds without a command the unit itself stops.
+        **settings: ``unit``, ``register`` and more, as of a `ModbusSensor`; its ``table``
+            is ``"holding"`` or ``"coil"``.
     """
 
     _tables = ("holding", "coil")

@@ -173,6 +173,7 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
     """
 
     _topic_of_announcement = "command_topic"
+    counted = ("bad_payloads",)
 
     def __init__(
         self,
@@ -194,10 +195,6 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
         if limits is not None:
             self.limits: tuple[float, float] = limits
         self.bad_payloads: int = 0
-
-    def counts(self) -> dict[str, int]:
-        """Return how many messages had no such value."""
-        return {"bad_payloads": self.bad_payloads}
 
     async def open(self) -> None:
         """Make sure that it is there, if it has to say so."""
@@ -259,13 +256,9 @@ class MqttActuator(_OnMqtt, Actuator[Any]):
         on: What is said for True; ``off`` likewise.
         retain: Whether the broker keeps the newest command for a device that comes
             later: for what may be told twice, such as a lamp.
-        status: The topic of the device's last will; it is lost unless ``online`` is
-            there.
-        online: What is there while the device is.
         limits: Least and greatest command.
         own_timeout: After how many seconds without a command the device itself stops.
-        announce: What Home Assistant is told, to show it there: ``component`` and what
-            that has, such as ``{component = "sensor", unit_of_measurement = "V"}``.
+        **settings: ``status``, ``announce`` and more, as of an `MqttSensor`.
     """
 
     _topic_of_announcement = "state_topic"

@@ -62,18 +62,14 @@ class ObjectSensor(MadeSensor):
         **settings: Unpack[SensorSettings],
     ) -> None:
         super().__init__(**settings)
-        self.object = Made(self, library, arguments, set_up, lost)
-        self._read = self.object.reading(value)
-        if limits is not None:
-            self.limits: tuple[float, float] = limits
+        self._reads(Made(self, library, arguments, set_up, lost), value, limits)
 
 
 class ObjectActuator(MadeActuator):
     """What an attribute of an object is set to, or a method of it is called with.
 
     Args:
-        library: The class of the object as ``module:Class``, or anything that is called
-            and makes it.
+        library: The class of the object, as of an `ObjectSensor`.
         attribute: What a command is assigned to, such as ``"value"``; with arguments
             behind it, such as ``"move()"`` or ``"move(speed=0.5)"``, it is called, the
             command first.

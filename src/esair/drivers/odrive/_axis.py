@@ -127,13 +127,11 @@ class OdriveState(_OnAxis, Sensor[AxisReading]):
         bad_frames: How many frames were too short.
     """
 
+    counted = ("bad_frames",)
+
     def __init__(self, **settings: Unpack[_SensorSettings]) -> None:
         super().__init__(**settings)
         self.bad_frames: int = 0
-
-    def counts(self) -> dict[str, int]:
-        """Return the frames that were too short."""
-        return {"bad_frames": self.bad_frames}
 
     async def open(self) -> None:
         """Make sure that the axis is there."""

@@ -47,15 +47,13 @@ class PwmServo(OnChannel[ServoPosition]):
     the last position when this computer dies.
 
     Args:
-        channel: 0 to 15.
-        address: 0x40 to 0x77, by the chip's pins.
-        frequency: How many pulses a second, of all channels of the chip; 50 Hz for
-            analog servos.
         min_angle: The angle of the shortest pulse, in radians.
         max_angle: The angle of the longest pulse, in radians; may be the smaller one
             for a servo that is mounted the other way.
         min_pulse: The shortest pulse, in seconds.
         max_pulse: The longest pulse, in seconds.
+        **settings: ``channel`` and more, as of a `PwmChannel`; a ``frequency`` of 50 Hz is
+            for analog servos.
     """
 
     def __init__(

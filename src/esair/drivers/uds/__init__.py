@@ -222,8 +222,7 @@ class UdsActuator(_OnUnit, Actuator[float]):
             ``"write"`` writes a value that it keeps.
         session: The session that it needs; 3 is the extended one.
         limits: Least and greatest command.
-        layout: The number on the wire, as of `struct`.
-        scale: As of `UdsSensor`, as is all else.
+        **settings: ``layout``, ``scale`` and more, as of a `UdsSensor`.
     """
 
     own_timeout: float | None = S3
