@@ -20,6 +20,7 @@ GONE = {  # what public modules exported in 0.1 or 0.2, and do not any more
     "esair.discovery": "Kind",
     "esair.drivers.odrive": "decode_mode decode_state encode_state",
     "esair.drivers.pca9685_servo": "",
+    "esair.drivers.servo": "ServoLink",
     "esair.firmware": "mistakes",
     "esair.loop": (
         "Bridge Entry Every Lane Recorder Spoke Suspended Tape Wheel bridge finish"

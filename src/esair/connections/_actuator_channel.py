@@ -340,8 +340,8 @@ class ActuatorChannel(Device):
         if heard.command and not again:
             self.wanted(registration, command)
         if expires is not None and now > expires:
-            told = f"it expired {now - expires:.3g} s ago"
-            return self._refuse(registration, self._too_late(registration, told))
+            expired = f"it expired {now - expires:.3g} s ago"
+            return self._refuse(registration, self._too_late(registration, expired))
         asked = command
         if ready is None:
             checked = self.checked  # hot
