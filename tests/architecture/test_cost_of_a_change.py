@@ -26,7 +26,7 @@ LONG_MANY = 1_600
 ADD = 120
 """How many calls it takes to add a behavior that declares nothing."""
 
-STOP = 612
+STOP = 400
 """How many calls it takes to stop a robot of a sensor, an actuator and two actions."""
 
 

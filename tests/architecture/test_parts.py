@@ -19,7 +19,7 @@ ROOMS = (
 
 FIELDS = 25
 
-PROTOCOLS = 11
+PROTOCOLS = 8
 """How many protocols the kernel has: what a user writes, and what another room gives."""
 
 

@@ -20,9 +20,8 @@ class Talker:
         self.heard = self.loop.time()
         self.died: list[float] = []
         self.began = self.heard
-        self.man = DeadMan(self.loop, self)
+        self.man = DeadMan(self.loop, self.dies, self.dead)
 
-    @property
     def dies(self) -> float:
         return self.heard + self.patience
 
@@ -107,12 +106,7 @@ async def test_a_moment_between_two_nanoseconds_is_reached() -> None:
     loop = asyncio.get_running_loop()
     found: list[float] = []
 
-    class Man:
-        dies = loop.time() + 1.0000000005838672e-06
-
-        def dead(self) -> None:
-            found.append(loop.time())
-
-    DeadMan(loop, Man()).arm()
+    dies = loop.time() + 1.0000000005838672e-06
+    DeadMan(loop, lambda: dies, lambda: found.append(loop.time())).arm()
     await asyncio.sleep(0.001)
     assert len(found) == 1

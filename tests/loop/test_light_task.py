@@ -10,7 +10,7 @@ from typing import Any
 import anyio
 import pytest
 
-from esair.loop import WAITS, FirstSteps, LightTask
+from esair.loop import WAITS, Caller, FirstSteps, LightTask
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -182,7 +182,7 @@ async def test_each_call_of_a_driver_finds_what_it_looks_at_in_slots() -> None:
 async def test_a_cancellation_between_two_coroutines_is_that_of_neither() -> None:
     """Who has kept the task of a call that has ended cancels nothing by it."""
     kept: list[Any] = []
-    caller = Named()
+    caller = Caller("driver")
 
     async def ends_at_once() -> None:
         kept.append(asyncio.current_task())
@@ -200,12 +200,3 @@ async def test_a_cancellation_between_two_coroutines_is_that_of_neither() -> Non
     assert light.cancelling() == 0
     light.then(lambda *end: outcome.set_result(end))
     assert await outcome == (7, None)
-
-
-class Named:
-    """Whose calls they are."""
-
-    task_name = "driver"
-
-    def __init__(self) -> None:
-        self.context = contextvars.Context()

@@ -71,17 +71,6 @@ class Drives(esair.Reaction):
         return sonar
 
 
-class Silent:
-    """Nobody has heard of it."""
-
-    def __init__(self, dies: float, called: list[str]) -> None:
-        self.dies = dies
-        self._called = called
-
-    def dead(self) -> None:
-        self._called.append("dead man")
-
-
 async def in_order() -> list[str]:
     """Set what is due at one moment, the last first; return the order of the calls.
 
@@ -100,7 +89,7 @@ async def _one_moment() -> list[str]:
     loop = asyncio.get_running_loop()
     scheduler, called = Scheduler.of(loop), list[str]()
     due = turn_of(loop).time() + MOMENT
-    DeadMan(loop, Silent(due, called)).arm()
+    DeadMan(loop, lambda: due, lambda: called.append("dead man")).arm()
     scheduler.at(due, lambda _: called.append("stale"), order=Order.STALE)
     Deadlines.of(loop).idle(called.append, "deadline").start(due)
     scheduler.at(due, lambda _: called.append("due"))

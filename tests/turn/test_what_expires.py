@@ -17,17 +17,6 @@ pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("TURN-2")]
 MOMENT = 0.1
 
 
-class Silent:
-    """Nobody has heard of it."""
-
-    def __init__(self, dies: float, calls: list[str]) -> None:
-        self.dies = dies
-        self.calls = calls
-
-    def dead(self) -> None:
-        self.calls.append("dead man")
-
-
 async def moment(order: tuple[str, ...]) -> list[str]:
     """Set what is due at one moment in some order; return the order of the effects."""
     loop = asyncio.get_running_loop()
@@ -41,7 +30,7 @@ async def moment(order: tuple[str, ...]) -> list[str]:
         "step": lambda: scheduler.at(due, said("step"), order=Order.WAKE),
         "deadline": lambda: Deadlines.of(loop).after(MOMENT, said("deadline")),
         "stale": lambda: scheduler.at(due, said("stale"), order=Order.STALE),
-        "dead man": lambda: DeadMan(loop, Silent(due, calls)).arm(),
+        "dead man": lambda: DeadMan(loop, lambda: due, said("dead man")).arm(),
     }
     for name in order:
         setters[name]()

@@ -208,6 +208,8 @@ class ReactionRunner:
 
     def stop(self) -> None:
         """Never step again, and follow nothing. What it wrote is the caller's to undo."""
+        if self.stopped:
+            return
         self.stopped = True
         self.job.stop()
         if self._sampling is not None:

@@ -44,6 +44,7 @@ from esair.connections._gate import (
 from esair.connections._ports import (
     ActuatorConnection,
     ActuatorPort,
+    Control,
     Port,
     SensorConnection,
     SensorPort,
@@ -80,6 +81,7 @@ __all__ = [
     "Call",
     "CommandCheck",
     "Computation",
+    "Control",
     "Decision",
     "DerivedChannel",
     "Driver",

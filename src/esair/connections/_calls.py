@@ -7,7 +7,6 @@ bus), a `Call` is one that waits, and `translate` says what a driver's error mea
 from __future__ import annotations
 
 import asyncio
-import contextvars
 import errno
 import functools
 import inspect
@@ -30,6 +29,7 @@ from esair.loop import (
     ENDED,
     REACHED,
     WAITS,
+    Caller,
     CallRefused,
     Deadlines,
     Door,
@@ -90,6 +90,8 @@ class Driver:
 
     def __init__(self, resource: Resource) -> None:
         self.resource = resource
+        self.uses_threads: bool = resource.bus is not None
+        """Whether a thread may have had any of its calls."""
         self._own_executor: Executor | None = None
         self._stream_executor: Executor | None = None
 
@@ -133,19 +135,14 @@ class Driver:
         )
         return all(ended)
 
-    def blocks(self, method: str) -> bool:
-        """Tell whether a method is a plain function that may block."""
-        return self.resource.blocking and self._is_plain(method)
-
-    def _is_plain(self, method: str) -> bool:
-        return not inspect.iscoroutinefunction(getattr(self.resource, method))
-
     def method(self, name: str) -> Method:
         """Return a method, to be called where it belongs."""
         function = getattr(self.resource, name)
-        if self.blocks(name):
+        is_plain = not inspect.iscoroutinefunction(function)
+        if is_plain and self.resource.blocking:
+            self.uses_threads = True
             return Method(function, self._get_executor, name)
-        return Method(function, None, name, self._is_plain(name))
+        return Method(function, None, name, is_plain)
 
     def _get_executor(self) -> Executor:
         return self.executor
@@ -299,7 +296,7 @@ class Calls:
         "_time",
         "abandoned",
         "alive",
-        "context",
+        "caller",
         "driver",
         "late",
         "lost",
@@ -344,13 +341,8 @@ class Calls:
         self._on_stuck = on_stuck
         self._left = left
         self._steps = FirstSteps.of(loop)
-        self.context: contextvars.Context = contextvars.Context()
+        self.caller: Caller = Caller(f"{self.resource} driver")
         """What the driver's first steps run in, so that it belongs to nobody."""
-
-    @property
-    def task_name(self) -> str:
-        """What tools see where a task of the driver runs."""
-        return f"{self.resource} driver"
 
     def begin(
         self,
@@ -370,7 +362,7 @@ class Calls:
             self._check_lost(kind)
         if method.is_plain:
             try:
-                value = self.context.run(method.function, *args)
+                value = self.caller.context.run(method.function, *args)
             except BaseException as error:
                 raise self._contained(error) from error.__cause__
             if value is None or not hasattr(value, "__await__"):
@@ -381,14 +373,14 @@ class Calls:
         if light.caller is not None or not method.is_usual:
             return self._begin_untaped(kind, method, args, limit, guard)
         # Most calls are these, and end here: it is `FirstSteps.begin` in its place.
-        light.caller = self
+        light.caller = self.caller
         loop = self._loop
         caller = current_task_of(loop)
         current_tasks[loop] = light
         waits_for: Any = None
         try:
             coroutine = method.function(*args)
-            waits_for = self.context.run(light.send, coroutine)
+            waits_for = self.caller.context.run(light.send, coroutine)
         except BaseException as error:
             contained = self._contained(error)
             raise contained from contained.__cause__
@@ -428,13 +420,13 @@ class Calls:
             return call
         try:
             if method.is_plain:
-                value = self.context.run(method.function, *args)
+                value = self.caller.context.run(method.function, *args)
                 if value is None or not hasattr(value, "__await__"):
                     return value
                 coroutine = _awaited(value)
             else:
                 coroutine = method.function(*args)
-            value = self._steps.begin(coroutine, self)
+            value = self._steps.begin(coroutine, self.caller)
         except BaseException as error:
             contained = self._contained(error)
             raise contained from contained.__cause__
@@ -576,11 +568,9 @@ class Calls:
         calls = tuple(self.alive.values())
         for call in calls:
             call.waiters.append(waiter)
-        deadline = self._deadlines.after(max(0.0, until - self._time()), wake, waiter)
         try:
-            await waiter
+            await self._deadlines.pulse(waiter, until - self._time())
         finally:
-            deadline.cancel()
             for call in calls:
                 if waiter in call.waiters:
                     call.waiters.remove(waiter)

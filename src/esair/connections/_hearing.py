@@ -142,7 +142,7 @@ class Asking:
             calls, read = device.calls, self._read
             poll.near = (
                 *(self, device, *near),
-                *(calls, calls.alive, calls.context, read, read.function),
+                *(calls, calls.alive, calls.caller, read, read.function),
             )
             poll.soon()
 
@@ -350,6 +350,7 @@ class Listening:
 
     def begin(self) -> None:
         """Listen to the opening that there is now; the call ends with it."""
+        self._device.driver.uses_threads = True  # its stream may block
         self._device.calls.begin("stream", Method(self._listen, None), (), None)
 
     async def _listen(self) -> None:

@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Generator, Mapping
+from collections.abc import (
+    AsyncGenerator,
+    AsyncIterator,
+    Awaitable,
+    Callable,
+    Generator,
+    Mapping,
+)
 from threading import get_ident
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from esair.abc import Connection
 from esair.connections._actuator_channel import ActuatorChannel
@@ -29,16 +36,16 @@ T = TypeVar("T")
 C = TypeVar("C", SensorChannel, ActuatorChannel)
 
 
-class Control(Protocol):
-    """The resource supervisor: the control path of a port."""
+class Control(NamedTuple):
+    """The control path of a port, which the resource supervisor gives.
 
-    async def configure(self, registration: Registration, /, **settings: Any) -> None:
-        """Change settings of a resource."""
+    Attributes:
+        configure: Changes settings, by a right; they are given by their names.
+        operate: Calls an operation, by a right and the name of the operation.
+    """
 
-    async def operate(
-        self, registration: Registration, name: str, /, **parameters: Any
-    ) -> Any:
-        """Call an operation of a resource."""
+    configure: Callable[..., Awaitable[None]]
+    operate: Callable[..., Awaitable[Any]]
 
 
 class Port(Generic[T]):

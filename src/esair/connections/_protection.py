@@ -418,7 +418,7 @@ class Stillness:
         self._safe = safe
         self._scheduler = Scheduler.of(device.loop)
         self._look: OneShot | None = None
-        self.dead_man: DeadMan = DeadMan(device.loop, self)
+        self.dead_man: DeadMan = DeadMan(device.loop, self.dies, self.dead)
         self.timeouts: int = 0  # how often it was made safe because nobody wrote
 
     def disarm(self) -> None:
@@ -430,9 +430,8 @@ class Stillness:
 
     # The dead man.
 
-    @property
     def dies(self) -> float:
-        """When it gets its safe command unless somebody writes, on the loop's clock."""
+        """Return when it gets its safe command unless somebody writes."""
         return self._hold.written + self._wire.command_timeout
 
     def dead(self) -> None:

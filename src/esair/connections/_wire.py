@@ -235,6 +235,8 @@ class Wire:
     def unsettled(self) -> Call | None:
         """Return a motion that is alive, and may still undo the safe command."""
         alive = self._device.calls.alive
+        if not (alive or self._device.robot.left):
+            return None
         mine = (call for call in alive.values() if call.may_move)
         return next(mine, None) or next(self.motions_left(), None)
 
@@ -393,7 +395,7 @@ class SafeCommand:
                 return
             pulse: asyncio.Future[None] = device.loop.create_future()
             self._pulses.append(pulse)
-            await Deadlines.of(device.loop).wait(pulse, seconds)
+            await Deadlines.of(device.loop).pulse(pulse, seconds)
 
     @property
     def turn_within(self) -> float:

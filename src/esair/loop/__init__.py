@@ -24,6 +24,7 @@ from esair.loop._garbage import Gaps, collector
 from esair.loop._light_task import (
     ENDED,
     WAITS,
+    Caller,
     FirstSteps,
     LightTask,
     current_task_of,
@@ -104,6 +105,7 @@ __all__ = [
     "Arrivals",
     "Budget",
     "CallRefused",
+    "Caller",
     "ComponentRandom",
     "DeadMan",
     "Deadline",

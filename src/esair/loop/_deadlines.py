@@ -19,7 +19,7 @@ import asyncio
 import heapq
 import itertools
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from esair.loop._light_task import ignore, wake
 from esair.loop._of_loop import OfTurn, turn_of
@@ -119,37 +119,34 @@ class Deadline:
         function(*arguments)
 
 
-class Mortal(Protocol):
-    """Something that has to be heard of again and again."""
-
-    @property
-    def dies(self) -> float:
-        """At which moment it is dead unless it is heard of, in seconds."""
-
-    def dead(self) -> None:
-        """Learn that it is dead; it is watched no more."""
-
-
 class DeadMan(Deadline):
     """Watches one thing that must not stay silent; being heard of costs nothing.
 
     Who is heard of in a turn is so before anybody is found dead in it.
+
+    Args:
+        loop: Where it is watched.
+        dies: Tells at which moment it is dead unless it is heard of, in seconds.
+        dead: Called when it is dead; it is watched no more.
     """
 
-    __slots__ = ("armed", "mortal")
+    __slots__ = ("_dies", "armed")
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, mortal: Mortal) -> None:
-        super().__init__(
-            Deadlines.of(loop), mortal.dead, order=Order.DEAD, is_patient=False
-        )
-        self.mortal: Mortal = mortal
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        dies: Callable[[], float],
+        dead: Callable[[], object],
+    ) -> None:
+        super().__init__(Deadlines.of(loop), dead, order=Order.DEAD, is_patient=False)
+        self._dies = dies
         self.armed: bool = False
 
     def arm(self) -> None:
         """Tell it that it is dead when its moment comes; that moves as it is heard of."""
         if not self.armed:
             self.armed = True
-            self.start(self.mortal.dies)
+            self.start(self._dies())
 
     def disarm(self) -> None:
         """Watch it no more."""
@@ -158,7 +155,7 @@ class DeadMan(Deadline):
 
     def moment(self) -> float:
         """Return when it is dead, as far as is known now."""
-        return self.mortal.dies if self.armed else NEVER
+        return self._dies() if self.armed else NEVER
 
     def call(self) -> None:
         """Tell it that it is dead."""
@@ -215,6 +212,14 @@ class Deadlines(OfTurn):
         deadline = self.after(max(0.0, seconds), wake, over)
         try:
             await asyncio.wait({future, over}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            deadline.cancel()
+
+    async def pulse(self, pulse: asyncio.Future[None], seconds: float) -> None:
+        """Wait until others wake a future of one's own, or for some seconds."""
+        deadline = self.after(max(0.0, seconds), wake, pulse)
+        try:
+            await pulse
         finally:
             deadline.cancel()
 

@@ -18,7 +18,7 @@ from asyncio.tasks import (
     _leave_task,  # noqa: PLC2701 - documented, for third-party tasks
 )
 from collections.abc import Callable, Coroutine, Generator, Iterable
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from esair.exceptions import describe
 from esair.loop._of_loop import OfLoop
@@ -131,15 +131,19 @@ def _run_all(light: LightTask) -> Generator[Any, Any, None]:
         coroutine = yield ENDED
 
 
-class Caller(Protocol):
-    """Whose coroutines a light task runs."""
+class Caller:
+    """Whose coroutines a light task runs.
 
-    context: contextvars.Context
-    """What their first steps run in; one that goes on keeps it."""
+    Attributes:
+        task_name: What their task is named.
+        context: What their first steps run in; one that goes on keeps it.
+    """
 
-    @property
-    def task_name(self) -> str:
-        """What their task is named."""
+    __slots__ = ("context", "task_name")
+
+    def __init__(self, task_name: str) -> None:
+        self.task_name: str = task_name
+        self.context: contextvars.Context = contextvars.Context()
 
 
 class LightTask(asyncio.Future[None]):

@@ -66,8 +66,10 @@ class Overseer:
     def leave(self, look: Look) -> None:
         """Look at something no more; the last one ends the thread."""
         with self._lock:
-            left = tuple(each for each in self._looks if each != look)
-            self._looks = left
+            left = list(self._looks)
+            with contextlib.suppress(ValueError):  # a fork of the robot has none
+                left.remove(look)
+            self._looks = tuple(left)
             thread = self._thread
             if left or thread is None or thread is threading.current_thread():
                 return

@@ -503,7 +503,10 @@ class Scheduler(OfTurn):
         self._heap = [
             each
             for each in self._heap
-            if each[-1] is not gone and not _is_cancelled(each[-1])
+            if not (
+                (entry := each[-1]) is gone
+                or (isinstance(entry, OneShot) and entry.function is idle)
+            )
         ]
         heapq.heapify(self._heap)
         if self._turning and not self._heap:
@@ -638,10 +641,6 @@ class Scheduler(OfTurn):
         elif self._heap:
             self._want(self._heap[0][0])
         return sleep
-
-
-def _is_cancelled(entry: RateGroup | OneShot) -> bool:
-    return isinstance(entry, OneShot) and entry.function is idle
 
 
 def _moment(one_shot: OneShot) -> tuple[Order, int]:

@@ -17,7 +17,6 @@ import signal
 import sys
 import threading
 import time
-import traceback
 
 # Each component that is added is watched; the public getsignal makes an enum of a
 # handler, or else prints it, task and all, into an error that nobody sees.
@@ -130,7 +129,7 @@ class SignalDesk:
 
     def leave(self, watch: SignalWatch) -> None:
         """Tell it no more; the last one puts everything back."""
-        self._watches = tuple(each for each in self._watches if each is not watch)
+        self._watches = tuple([each for each in self._watches if each is not watch])
         if self._watches:
             return
         if threading.current_thread() is threading.main_thread():
@@ -320,8 +319,10 @@ def _is_of_a_runner(handler: Any) -> bool:
 
 def _in_a_runner() -> bool:
     """Whether asyncio's runner still runs its program: its end closes what is left."""
-    frames = traceback.walk_stack(None)
-    return any(each.f_code is asyncio.Runner.run.__code__ for each, _ in frames)
+    frame: FrameType | None = sys._getframe()  # noqa: SLF001 - public, but for its name
+    while frame is not None and frame.f_code is not asyncio.Runner.run.__code__:
+        frame = frame.f_back
+    return frame is not None
 
 
 def _hear_no_more() -> None:

@@ -170,7 +170,8 @@ class Plan:
     def _unclaim(self, resource: Resource | None) -> None:
         if resource is None:
             return
-        self.derived_of.pop(resource.name, None)
+        if isinstance(resource, Derived):
+            self.derived_of.pop(resource.name, None)
         claimed = resource.claim and (id(resource.bus), resource.claim)
         if claimed and self.claims.get(claimed) == resource.name:
             del self.claims[claimed]

@@ -21,6 +21,7 @@ from collections.abc import (
     Mapping,
     Sequence,
 )
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import anyio
@@ -121,7 +122,7 @@ class LoopCare:
         scheduler = Scheduler.of(loop)
         suspends = turn_of(loop).suspends
         suspends.listen(self._resumed)
-        self._undo.append(lambda: suspends.forget(self._resumed))
+        self._undo.append(partial(suspends.forget, self._resumed))
         for components in crowds:
             scheduler.expect(components)
         if turn_of(loop).virtual:  # there it would hide a deadlock
@@ -131,12 +132,12 @@ class LoopCare:
             if told := real_time.start(priority):
                 _log.warning("%s: not in real time: %s", self._title, told)
             else:
-                self._undo.append(lambda: real_time.stop(priority))
+                self._undo.append(partial(real_time.stop, priority))
         seconds = self.stall_warning
         if seconds is not None:
             stalls = StallWatch.of(loop)
             stalls.start(seconds)
-            self._undo.append(lambda: stalls.stop(seconds))
+            self._undo.append(partial(stalls.stop, seconds))
         self._service = ServiceManager()
         glances: Job = scheduler.every(GLANCE, self._service.beat)
         self._undo.append(glances.stop)
@@ -338,8 +339,8 @@ class Stopping:
     async def done(self) -> None:
         """Wait until the stop has begun, and has ended."""
         await self._begun.wait()
-        while not self.once().done():
-            await asyncio.wait({self.once()})
+        while not (stopping := self.once()).done():
+            await asyncio.wait({stopping})
 
     async def for_sure(self, reason: str) -> bool:
         """Stop, whoever cancels meanwhile; tells whether somebody did."""

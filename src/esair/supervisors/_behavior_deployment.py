@@ -23,6 +23,8 @@ from esair.loop import (
     ProcessWatch,
     current_owner,
     fail,
+    ignore,
+    look_at,
     script_context,
     spawn,
     wake,
@@ -36,7 +38,7 @@ from esair.messages import (
 )
 from esair.plan import Finding, refuse
 from esair.supervisors._command_queue import CommandQueue
-from esair.supervisors._life import end, side_by_side
+from esair.supervisors._life import end, living, side_by_side
 from esair.supervisors._mediator import Mediator
 from esair.supervisors._member import Member
 from esair.supervisors._resource_deployment import ResourceDeployment
@@ -249,37 +251,43 @@ class BehaviorDeployment:
                 self.coming.remove(member)
             _warn_of(process, members)
 
-    async def end(self, member: Member) -> None:
-        """End a member; what it moved is safe, or the time for both is over."""
+    async def end(self, *members: Member) -> None:
+        """End members; what they moved is safe, or the time for both is over."""
         loop = asyncio.get_running_loop()
-        deadline = loop.time() + self.grace + MARGIN
-        self.ending.append(member)
-        over = member.over = member.over or loop.create_future()
-        undead = await member.stop(self.grace)
-        member.mail.become(BehaviorState.REMOVED)
-        await self._settle(member, undead, deadline)
-        self.ending.remove(member)
-        wake(over)
+        for member in members:
+            self.ending.append(member)
+            member.over = member.over or loop.create_future()
+            member.stop()
+        await self.rested(*members, then=Member.stopped)
+        for member in members:
+            self.ending.remove(member)
+            wake(member.over)
 
-    async def rested(self, member: Member) -> None:
-        """Wait until the run of a member that rests has ended; what it moved is safe."""
-        deadline = asyncio.get_running_loop().time() + self.grace + MARGIN
-        await self._settle(member, await end(member.mail.owner, self.grace), deadline)
-
-    async def _settle(
-        self, member: Member, undead: list[asyncio.Task[Any]], deadline: float
+    async def rested(
+        self, *members: Member, then: Callable[[Member], object] = ignore
     ) -> None:
-        """Fence off what would not end, and wait until what it moved is safe."""
-        threads = member.mail.owner.threads
-        if member.used:
+        """Wait until the runs of members have ended; what they moved is safe."""
+        deadline = asyncio.get_running_loop().time() + self.grace + MARGIN
+        left = await end([member.mail.owner for member in members], self.grace)
+        used: set[str] = set()
+        for member in members:
+            then(member)
+            used.update(member.used)
+        if used:
             channels = self.resources.actuators.channels
-            wrote = [channels[name] for name in sorted(member.used) if name in channels]
+            wrote = [channels[name] for name in sorted(used) if name in channels]
             # What is sent goes on to be sent.
-            await side_by_side([channel.safe.settled(deadline) for channel in wrote])
-        if not (undead or threads):
-            return
+            await side_by_side([each.safe.settled(deadline) for each in wrote])
+        for member in members:
+            if member.mail.owner in left or member.mail.owner.threads:
+                self._fence_off(member)
+
+    def _fence_off(self, member: Member) -> None:
+        """List what of a member would not end."""
+        undead, threads = living(member.mail.owner), member.mail.owner.threads
         self.undead.update(undead)
         for task in undead:
+            task.add_done_callback(look_at)
             task.add_done_callback(self.undead.discard)
         at = asyncio.get_running_loop().time()
         for name in (*(t.get_name() for t in undead), *(t.name for t in threads)):
@@ -345,13 +353,11 @@ class BehaviorDeployment:
         # What the user is taking away goes its own way.
         leaving = set(self.ending)
         members = [m for m in reversed(self.members.values()) if m not in leaving]
-        await asyncio.gather(
-            *self.commands.left(until), *(self.end(member) for member in members)
-        )
-        rest = dict.fromkeys([*self.members.values(), *self.ending])
-        await asyncio.gather(
-            *(self.end(m) for m in rest if m.mail.state is not BehaviorState.REMOVED)
-        )
+        await side_by_side([self.end(*members), *self.commands.left(until)])
+        there = dict.fromkeys([*self.members.values(), *self.ending])
+        rest = [m for m in there if m.mail.state is not BehaviorState.REMOVED]
+        if rest:
+            await self.end(*rest)
         wake(self._all_ended)
 
     # Inside.

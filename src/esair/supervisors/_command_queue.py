@@ -144,11 +144,12 @@ class CommandQueue:
 
     def refuse(self) -> None:
         """Refuse every further command, and give up those that can be given up."""
-        if self.is_closed:
+        if self._phase is SupervisorPhase.STOPPED:
             return
         self._phase = SupervisorPhase.STOPPED
         self._begins.set()
-        self._end_turn_of(self._work)  # whoever waits hears of it at once
+        if self._work is not None:
+            self._end_turn_of(self._work)  # whoever waits hears of it at once
         for task in set(self._undoes) - self._lasting:
             task.cancel()
 
@@ -160,10 +161,9 @@ class CommandQueue:
 
     def left(self, until: float) -> list[Coroutine[Any, Any, None]]:
         """Return what waits for the commands that are left, if there are any."""
-        return [self.finish(until)] if self._undoes else []
+        return [self._finish(until)] if self._undoes else []
 
-    async def finish(self, until: float) -> None:
-        """Wait for the commands that are left, until a moment; then they are given up."""
+    async def _finish(self, until: float) -> None:
         left = max(0.0, until - asyncio.get_running_loop().time())
         if self._undoes:
             await asyncio.wait(set(self._undoes), timeout=left)

@@ -6,7 +6,7 @@ import asyncio
 import itertools
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from esair.connections import (
     ActuatorConnection,
@@ -53,7 +53,6 @@ class Halts:
         self._resumed: News
         self._from_threads: dict[int, tuple[Halting, threading.Event]] = {}
         self._numbers = itertools.count()
-        self._last: tuple[LastCommand, ...] = ()
         self.keeps_still: Callable[[], str] = lambda: ""
         """Says why the robot must not be resumed yet; empty if it may be."""
 
@@ -76,8 +75,10 @@ class Halts:
         """The robot has stopped: wait until every halt has its answer; bounded."""
         if self._answers:
             await asyncio.wait(self._answers)
-        self._last = tuple(channel.told() for channel in self._channels.values())
         self._loop = None
+
+    def _told(self) -> Iterator[LastCommand]:
+        return (channel.told() for channel in tuple(self._channels.values()))
 
     def halt(self, reason: str, by: str = "the user") -> Halting:
         """Make every actuator safe and keep it so, until `resume`."""
@@ -87,11 +88,11 @@ class Halts:
         if loop is None:
             self._registrations.halt = Halt(reason, 0.0)
             _log.warning("robot %s: halted by %s: %s", self._name, by, reason)
-            halting.settle(self._last)
+            halting.settle(self._told())
         elif threading.get_ident() == self._home:
             self._take_effect(reason, by, halting)
         elif Door.of(loop).player is not None:  # the tape tells when it took effect
-            halting.settle(self._last)
+            halting.settle(())
         else:
             self._registrations.halt = Halt(reason, clock_of(loop)())
             for channel in tuple(self._channels.values()):
@@ -101,7 +102,7 @@ class Halts:
             try:
                 self._halted_by.tell(number, reason, by)
             except RuntimeError:  # the loop is closed: the stop was the last word
-                halting.settle(self._last)
+                halting.settle(self._told())
             else:
                 taken.wait(TAKEN_WITHIN)
         return halting
@@ -126,7 +127,7 @@ class Halts:
     def _take_effect(self, reason: str, by: str, halting: Halting) -> None:
         loop = self._loop
         if loop is None:  # it was stopped before the loop heard of it
-            halting.settle(self._last)
+            halting.settle(self._told())
             return
         self._registrations.halt = Halt(reason, clock_of(loop)())
         for channel in self._channels.values():

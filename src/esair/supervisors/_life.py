@@ -8,8 +8,9 @@ from __future__ import annotations
 import asyncio
 import collections
 import errno
+import itertools
 import logging
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterable
 from typing import TYPE_CHECKING, Any
 
 from esair.actions import Behavior, Reaction
@@ -25,7 +26,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Journal, Kind
-from esair.loop import Owner, look_at, raisable
+from esair.loop import Owner, raisable
 from esair.messages import Restart
 
 if TYPE_CHECKING:
@@ -203,8 +204,10 @@ _SECOND = 0.04
 
 def living(owner: Owner) -> list[asyncio.Task[Any]]:
     """Return the tasks of an owner that have not ended, without the one that asks."""
-    me = asyncio.current_task()
-    return [task for task in owner.living() if task is not me]
+    tasks, me = owner.living(), asyncio.current_task()
+    if me in tasks:
+        tasks.remove(me)
+    return tasks
 
 
 async def until_ended(tasks: list[asyncio.Task[Any]], grace: float) -> None:
@@ -222,24 +225,27 @@ def cancel(owner: Owner) -> None:
     owner.told = left
 
 
-async def end(owner: Owner, grace: float) -> list[asyncio.Task[Any]]:
-    """Cancel the tasks of an owner, twice if need be; returns those that would not end.
+async def end(owners: Iterable[Owner], grace: float) -> list[Owner]:
+    """Cancel the tasks of owners, twice if need be; returns those some of which live.
 
     What was cancelled before this is cleaning up: it is left alone until its grace is over.
     """
-    told, left = owner.told, living(owner)
-    for seconds in (grace, _SECOND):
-        if not left:
+    for attempt in range(3):
+        found: dict[Owner, list[asyncio.Task[Any]]] = {}
+        for owner in owners:
+            if tasks := living(owner):
+                found[owner] = tasks
+        owners = list(found)
+        if not owners or attempt == 2:
             break
-        for task in left:
-            if task not in told:
-                task.cancel()
-        owner.told, told = left, []
-        await until_ended(left, seconds)
-        left = living(owner)
-    for task in left:
-        task.add_done_callback(look_at)
-    return left
+        for owner, tasks in found.items():
+            for task in tasks:
+                if attempt or task not in owner.told:
+                    task.cancel()
+            owner.told = tasks
+        left = list(itertools.chain.from_iterable(found.values()))
+        await until_ended(left, _SECOND if attempt else grace)
+    return list(owners)
 
 
 async def side_by_side(works: list[Coroutine[Any, Any, None]]) -> None:

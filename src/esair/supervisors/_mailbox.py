@@ -131,11 +131,6 @@ class Mailbox:
         """The get that it makes data for now."""
         return self.askers.current
 
-    @property
-    def served(self) -> tuple[ServedQueue, ...]:
-        """What it answers by a method, or in a loop."""
-        return (self.askers, *self.queues.values())
-
     def failure(self) -> BehaviorFailedError:
         """Return what whoever needs it gets after it has failed for good."""
         assert self.error is not None
@@ -273,7 +268,7 @@ class Mailbox:
 
     def run_over(self, error: BaseException | None) -> None:
         """A run has ended: nobody works on what it had taken."""
-        for queue in self.served:
+        for queue in (self.askers, *self.queues.values()):
             queue.run_ended(error)
 
     async def receive(self, timeout: float | None) -> tuple[str, Any]:

@@ -325,7 +325,7 @@ class Mediator(Ledger):
         new.admit()
         while new.outbox and new.give(new.outbox[0]):
             del new.outbox[0]
-        for each in new.served:
+        for each in (new.askers, *new.queues.values()):
             each.roused()
 
     def close(self) -> None:
@@ -333,9 +333,8 @@ class Mediator(Ledger):
         self.closed = True
         for member in self.boxes.values():
             for queue in _queues(member):
-                queue.end_all(
-                    Outcome.STOPPING, lambda _: StoppingError("behaviors", "stopping")
-                )
+                if queue.count or queue.working:
+                    queue.end_all(Outcome.STOPPING, _stopping)
 
     # Requests that wait.
 
@@ -388,13 +387,17 @@ class Mediator(Ledger):
 
 
 def _queues(member: Mailbox) -> tuple[RequestQueue, ...]:
-    return (member.senders, *member.served)
+    return (member.senders, member.askers, *member.queues.values())
 
 
 def _removed(request: Request) -> BehaviorRemovedError:
     return BehaviorRemovedError(
         request.peer, request.data if request.kind == "put" else None
     )
+
+
+def _stopping(_request: Request) -> StoppingError:
+    return StoppingError("behaviors", "stopping")
 
 
 def _finished(member: Mailbox) -> BehaviorFailedError:

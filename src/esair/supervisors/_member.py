@@ -55,7 +55,6 @@ from esair.supervisors._life import (
     absent,
     absent_for,
     cancel,
-    end,
     living,
     until_ended,
     where,
@@ -430,9 +429,10 @@ class Member:
         reason = reason or partial(run_ended, self.name, "resource")
         uses = self.uses()
         if uses:
-            self.used = frozenset(each.resource for each in uses)
+            self.used = {each.resource for each in uses}
         for registration in uses:
-            self.crew.resources.control.revoke(registration, reason)
+            if registration.reason is None:  # else the robot stops
+                self.crew.resources.control.revoke(registration, reason)
         self.grants.registrations.clear()
         if self._portal is not None:
             self._portal.close()
@@ -440,22 +440,26 @@ class Member:
             if step.portal is not None:
                 step.portal.close()
 
-    async def stop(self, grace: float) -> list[asyncio.Task[Any]]:
-        """End it, whatever it does; returns the tasks that would not end."""
+    def stop(self) -> None:
+        """Cut it off, whatever it does; its tasks are the caller's to end."""
         self.mail.become(BehaviorState.STOPPING)
-        self._no_restart()
+        if self._timer is not None:
+            self._no_restart()
         self.fence(lambda: UserRemovedError(self.name))
         self.give_up()
         self._end_requests()
         self.mail.run_over(None)
-        wake(*self.mail.takers or ())
-        undead = await end(self.mail.owner, grace)
+        if self.mail.takers:
+            wake(*self.mail.takers)
+
+    def stopped(self) -> None:
+        """Its tasks have ended, or would not: it is gone."""
         self.task = None
         self.mail.carriers = ()
         if self.seat is not None:
             self.seat.rise()
         empty(self.action, self, self._portal)
-        return undead
+        self.mail.become(BehaviorState.REMOVED)
 
     def end_run(self, grace: float) -> Awaitable[None]:
         """End the run, so that another may begin; awaiting waits until it has ended."""

@@ -136,15 +136,20 @@ class Opener:
 
     async def end(self, until: float) -> None:
         """Close the device for good, whatever it is doing, and let its threads go."""
-        name = self.resource.name
+        driver = self.driver
         if self.is_open:
-            await self.calls.quiet(until - LAST_CLOSE)
-            stuck = ask_outside((name, "stuck"), lambda: self.driver.is_stuck)
+            if self.calls.alive:
+                await self.calls.quiet(until - LAST_CLOSE)
             left = until - asyncio.get_running_loop().time()
-            await self.close(LAST_CLOSE if stuck else max(LAST_CLOSE, left))
-        ending = partial(self.driver.end_executors, timeout=LAST_CLOSE)
-        if not await outside((name, "threads"), ending):
-            _log.warning("%s: a driver call is stuck; its thread is left", name)
+            if driver.uses_threads:
+                tag = self.resource.name, "stuck"
+                left = 0.0 if ask_outside(tag, lambda: driver.is_stuck) else left
+            await self.close(max(LAST_CLOSE, left))
+        if driver.uses_threads:
+            name = self.resource.name
+            ending = partial(driver.end_executors, timeout=LAST_CLOSE)
+            if not await outside((name, "threads"), ending):
+                _log.warning("%s: a driver call is stuck; its thread is left", name)
 
 
 class DerivedOpener(Opener):

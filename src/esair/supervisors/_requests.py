@@ -467,9 +467,9 @@ class ServedQueue(RequestQueue):
 
     def run_ended(self, error: BaseException | None) -> None:
         """A run has ended: nobody works on what it had taken."""
-        told = describe(error) if error else "its run ended without an answer"
         for request in (*self.working, self.current):
             if request is not None:
+                told = describe(error) if error else "its run ended without an answer"
                 request.fail(told, error)
         self.task = self.current = None
 

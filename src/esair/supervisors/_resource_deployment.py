@@ -15,6 +15,7 @@ from esair.connections import (
     ActuatorConnection,
     BeingReplacedError,
     Call,
+    Control,
     DerivedChannel,
     LastCommand,
     OfRobot,
@@ -143,7 +144,8 @@ class ResourceDeployment:
             sensors,
             actuators,
         )
-        sensors.control = actuators.control = self.control
+        path = Control(self.control.configure, self.control.operate)
+        sensors.control = actuators.control = path
         self._grace = grace
         self._stops_since = math.inf
         self._latched = False  # the robot stops: nothing but safe commands leaves
@@ -319,7 +321,8 @@ class ResourceDeployment:
             else:
                 channel.removed()
             await life.stop(until)
-            _rise(life)
+            if life.seat is not None:
+                life.seat.rise()
             await self._let_go(life, until, resource)
             if self.commands.is_closed:
                 raise StoppingError("resources", self.commands.phase.value)
@@ -400,7 +403,8 @@ class ResourceDeployment:
 
     def _forget(self, name: str, state: ResourceState) -> None:
         life = self.lives.pop(name)
-        _rise(life)
+        if life.seat is not None:
+            life.seat.rise()
         self.plan.leave_resource(name)
         self._derived.pop(name, None)
         life.channel.state = state
@@ -496,14 +500,14 @@ class ResourceDeployment:
         # What the user is taking away goes its own way.
         stay = [name for name in self.lives if name not in self._departures]
         closed = ResourceState.CLOSED
-        await asyncio.gather(
-            *self.commands.left(until),
-            *(self._undeploy(name, closed, until) for name in stay),
-        )
-        await asyncio.gather(
-            *(self._undeploy(name, closed, until) for name in tuple(self.lives))
-        )
-        await close_buses(self.buses)
+        ends = [self._undeploy(name, closed, until) for name in stay]
+        await side_by_side([*ends, *self.commands.left(until)])
+        if self.lives:
+            await side_by_side(
+                [self._undeploy(name, closed, until) for name in tuple(self.lives)]
+            )
+        if self.buses:
+            await close_buses(self.buses)
         if self._seats is not None:
             self._seats.close()
             self._seats = None
@@ -541,11 +545,6 @@ class ResourceDeployment:
             yield "resources", {"turned_away": bound.turned_away}
         for bus in self.buses:
             yield f"bus {bus.name}", bus.stats.counts()
-
-
-def _rise(life: ResourceLife) -> None:
-    if life.seat is not None:
-        life.seat.rise()
 
 
 def _own_counts(resource: Resource) -> Mapping[str, int]:

@@ -255,8 +255,10 @@ class ResourceLife:
             forget()
         self.resource._listener = None  # noqa: SLF001 - the resource's own supervisor
         self._task.cancel()
-        await asyncio.wait({self._task}, timeout=LAST_TRY)
-        fail(self.tried, self.channel.error or DeviceLostError(self.name, "closed"))
+        if self._news is None:  # else it only waits: there is nothing to wait for
+            await asyncio.wait({self._task}, timeout=LAST_TRY)
+        if not self.tried.done():
+            fail(self.tried, self.channel.error or DeviceLostError(self.name, "closed"))
         await self.device.end(until)
 
     def _left(self, until: float) -> float:

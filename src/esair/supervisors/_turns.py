@@ -172,7 +172,7 @@ class Turns:
             left = [m for m in left if not m.mail.is_leaving]
             for member in left:
                 member.rest(self._why(member))
-            await asyncio.gather(*(crew.rested(member) for member in left))
+            await crew.rested(*left)
             raise
         crew.commands.no_return()
         await self._take_turns(mode, entering, reason)
@@ -195,7 +195,7 @@ class Turns:
         crew.journal.publish(Kind.MODE, mode, "", before, reason)
         why = f": {printable(reason)}" if reason else ""
         _log.info("mode %s, after %s%s", mode, before, why)
-        await asyncio.gather(*(crew.rested(member) for member in leaving))
+        await crew.rested(*leaving)
         for member in leaving:
             if member.mail.state is BehaviorState.RESTING:
                 member.sight.rest()
