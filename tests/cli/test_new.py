@@ -87,7 +87,6 @@ def test_every_file_of_the_project_carries_its_name(esair_command, tmp_path) -> 
         "scout/scout/__init__.py",
         "scout/scout/actions.py",
         "scout/scout/devices.py",
-        "scout/scout/simulated.py",
         "scout/tests/test_actions.py",
         "scout/tests/test_robot.py",
     } <= files
