@@ -29,14 +29,7 @@ PROMISES = {
 }
 """What the library promises."""
 
-NOT_YET: dict[str, str] = dict.fromkeys(
-    [
-        "ROS-1",
-        "ROS-2",
-        "ROS-3",
-    ],
-    "of the third edition, being built",
-)
+NOT_YET: dict[str, str] = {}
 """Promises without a test, and why."""
 
 GROUPS = {

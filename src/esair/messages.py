@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Self, TypeV
 import attrs
 
 from esair.exceptions import ConfigError, hint_for
-from esair.values import as_path, check_name, is_positive
+from esair.values import as_path, check_name, check_party, is_positive
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -404,7 +404,7 @@ class BehaviorsPolicy:
             raise ConfigError("policy of behaviors", "allow", told)
         for behavior, right in self.allow.items():
             if behavior != "*":
-                check_name("policy of behaviors: allow", behavior)
+                check_party("policy of behaviors: allow", behavior)
             if right != "manage":
                 raise ConfigError(
                     "policy of behaviors",
@@ -453,7 +453,7 @@ class Policy:
                 raise self._mistake(field, f"expected a dict, not {value!r:.80}")
             for behavior in value:
                 if behavior != "*":
-                    check_name(f"policy of {self.resource!r}: {field}", behavior)
+                    check_party(f"policy of {self.resource!r}: {field}", behavior)
         for behavior, access in self.allow.items():
             if not isinstance(access, Access):
                 raise self._mistake(
@@ -494,7 +494,7 @@ class Mode:
             told = f"expected a list of names, not {given!r:.80}"
             raise ConfigError("mode", "behaviors", told)
         for behavior in given:
-            check_name("mode: behaviors", behavior)
+            check_party("mode: behaviors", behavior)
 
 
 @attrs.frozen

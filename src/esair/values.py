@@ -69,6 +69,19 @@ def as_path(path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
+_ABROAD = re.compile(r"[a-z][a-z0-9_]{0,62}:/[A-Za-z0-9_/]{1,126}\Z")
+
+
+def check_party(kind: str, name: object) -> str:
+    """Return the name of who acts here: a component, or a topic such as ``ros:/cmd_vel``.
+
+    Raises:
+        ConfigError: It is no name of such.
+    """
+    is_abroad = isinstance(name, str) and _ABROAD.match(name)
+    return str(name) if is_abroad else check_name(kind, name)
+
+
 _REAL = (int, float)
 _LARGEST = sys.float_info.max
 

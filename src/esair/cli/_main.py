@@ -93,6 +93,7 @@ def make_app() -> App:
     from esair.cli._peers import peers
     from esair.cli._plot import plot
     from esair.cli._replay import replay
+    from esair.cli._ros import ros
     from esair.cli._run import run, sim
     from esair.cli._steer import VERBS, verb_of
     from esair.cli._top import top
@@ -110,7 +111,7 @@ def make_app() -> App:
     for other in (log, plot, replay, recover, minimal):
         app.command(other)
     running = Group("A robot that runs", sort_key=1)
-    for steer in (top, peers, view, drive):
+    for steer in (top, peers, ros, view, drive):
         app.command(steer, group=running)
     for name in VERBS:
         app.command(verb_of(name), group=running)

@@ -114,12 +114,14 @@ def read_peers(source: Source) -> Peers | None:
     for peer in peers.names:
         if source.is_name("peer", peer, "share"):
             about = "remote" if peer in remotes else "share"
-            _add(source, about, "sensor", peer, {"driver": f"{_DRIVERS}:Peer"}, peer)
+            add_table(
+                source, about, "sensor", peer, {"driver": f"{_DRIVERS}:Peer"}, peer
+            )
     for peer, found in remotes.items():
         for kind, name, table in found:
             if kind != "behavior":
                 whole = {"driver": f"{_DRIVERS}:Peer{kind.capitalize()}", **table}
-                _add(source, f"remote.{peer}.{kind}", kind, name, whole, peer)
+                add_table(source, f"remote.{peer}.{kind}", kind, name, whole, peer)
     return peers
 
 
@@ -143,9 +145,10 @@ def _remotes(
         yield peer, found
 
 
-def _add(
+def add_table(
     source: Source, where: str, kind: str, name: str, table: dict[str, Any], peer: str
 ) -> None:
+    """Write a table of a part on the bus to a peer, as if it were in the file."""
     holder = source.data.setdefault(kind, {})
     if name in holder:
         told = (

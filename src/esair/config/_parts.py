@@ -13,6 +13,7 @@ from esair.config._network import TABLES as OF_NETWORK
 from esair.config._network import add_behaviors, add_buses, read_peers
 from esair.config._policies import read_policies
 from esair.config._records import make_of
+from esair.config._ros import add_bus, add_citizen, read_ros
 from esair.config._source import Source
 from esair.config._tables import named_tables
 from esair.config._values import INVALID
@@ -27,6 +28,7 @@ TABLES: Final = (
     *("robot", "board", "bus", "sensor", "actuator", "behavior", "mode", "access"),
     *OF_ROBOT,
     *sorted(OF_NETWORK),
+    "ros",
 )
 """The tables of a file."""
 
@@ -46,9 +48,11 @@ def make_draft(source: Source, *, simulated: bool, robot_class: type) -> Draft:
     )
     draft.robot = _read_robot(source, robot_class)
     draft.peers = peers = read_peers(source)
+    ros = read_ros(source)
     for name, table in named_tables(source, "bus"):
         draft.parts.append(Part("bus", name, make_bus(draft, name, table)))
     add_buses(draft, peers)
+    add_bus(draft, ros)
     for kind, base in (("sensor", Sensor), ("actuator", Actuator)):
         for name, table in named_tables(source, kind):
             key = f"{kind}.{name}"
@@ -56,6 +60,7 @@ def make_draft(source: Source, *, simulated: bool, robot_class: type) -> Draft:
     for name, table in named_tables(source, "behavior"):
         draft.parts.append(Part("behavior", name, make_behavior(draft, name, table)))
     add_behaviors(draft, peers)
+    add_citizen(draft, ros)
     draft.policies = read_policies(source)
     modes = {
         name: source.convert(table, Mode, f"mode.{name}")

@@ -22,7 +22,7 @@ from esair.recording import plain
 from esair.seat._leases import SECONDS, answer_of
 from esair.seat._status import settings
 from esair.seat._values import axes, command_of, typed
-from esair.values import check_name
+from esair.values import check_name, check_party
 
 if TYPE_CHECKING:
     from esair.seat._operator import Console, Session
@@ -137,7 +137,7 @@ class Act:
                 raise BadValueError(self.name, name, told)
             found[name] = value
         if self.about and self.about != "setting":
-            check_name(self.name, found[self.about])
+            check_party(self.name, found[self.about])
         return found
 
 

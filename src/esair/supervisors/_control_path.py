@@ -34,7 +34,7 @@ from esair.messages import Access, Policy, ResourceState, SupervisorPhase
 from esair.plan import denial, not_alone
 from esair.resources import APPLIED, check_settings, operation_of, shown
 from esair.supervisors._resource_life import ResourceLife
-from esair.values import check_name, is_positive
+from esair.values import check_party, is_positive
 
 Declared = Callable[[str, str], Access]
 """What the class of a behavior declares to do with a resource."""
@@ -131,7 +131,7 @@ class ControlPath:
 
     def grant(self, terms: Terms, *, instead_of: str | None = None) -> Registration:
         """Register a behavior, in one step without an await."""
-        check_name("behavior", terms.behavior)
+        check_party("behavior", terms.behavior)
         resource = terms.resource
         provider = self._provider(resource)
         self._check_there(resource, provider)

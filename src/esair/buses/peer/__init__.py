@@ -12,16 +12,21 @@ from esair.loading import late
 if TYPE_CHECKING:
     from esair.buses.peer._bus import BEAT, SILENCE, PeerBus, PeerNetwork
     from esair.buses.peer._fake import FakeNetwork
+    from esair.buses.peer._wire import Head, head_of, packed, parts_of
     from esair.buses.peer._zenoh import Network, Tls
 
 __all__ = [
     "BEAT",
     "SILENCE",
     "FakeNetwork",
+    "Head",
     "Network",
     "PeerBus",
     "PeerNetwork",
     "Tls",
+    "head_of",
+    "packed",
+    "parts_of",
 ]
 
 __getattr__, __dir__ = late(
@@ -29,6 +34,7 @@ __getattr__, __dir__ = late(
     {
         "_bus": "BEAT SILENCE PeerBus PeerNetwork",
         "_fake": "FakeNetwork",
+        "_wire": "Head head_of packed parts_of",
         "_zenoh": "Network Tls",
     },
 )

@@ -1,0 +1,510 @@
+"""The robot's side in ROS: one file for ROS's own interpreter, which needs rclpy alone.
+
+It is started with a socket as its standard input, and speaks as a peer does: with beats,
+and with the newest beat of the robot in all it says. So what was kept back here, or on
+the way, is known as old there. Nothing of esair is imported here, and nothing of rclpy
+before it is started.
+"""
+
+from __future__ import annotations
+
+import array
+import base64
+import importlib
+import itertools
+import json
+import os
+import queue
+import random
+import socket
+import struct
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+BEAT = 0.05  # how often it beats, in seconds
+LOOK = 20  # beats after which it looks for other types, and tells what it wants
+UNKNOWN = "_NODE_NAME_UNKNOWN_"  # as DDS calls a node of which it has not heard yet
+WAITING = 64  # readings that may wait to be sent; what comes then is dropped
+
+
+def pack(frame: Any) -> bytes:
+    """Return a frame as bytes: its length, then JSON, with bytes in base 64."""
+    data = json.dumps(frame, default=_blob).encode()
+    return struct.pack(">I", len(data)) + data
+
+
+def unpack(data: bytes) -> Any:
+    """Return the frame of some JSON."""
+    return json.loads(data, object_hook=_unblob)
+
+
+def _blob(value: Any) -> dict[str, str]:
+    return {"#": base64.b64encode(value).decode()}  # no field of ROS is called so
+
+
+def _unblob(value: Any) -> Any:
+    return base64.b64decode(value["#"]) if "#" in value else value
+
+
+class Bridge:
+    """What is said between the robot and a graph, with beats."""
+
+    def __init__(self, send: Any, clock: Any = time.monotonic) -> None:
+        self.send = send
+        self.clock = clock
+        self.graph: Any = None
+        self.run = random.getrandbits(63)
+        self.beats = self.its_run = self.its_beat = 0
+        self.heard_at = self.ticked = clock()
+        self.gap = 0.0
+        self.followed: dict[str, float] = {}
+        self.due: dict[str, float] = {}
+        self.served: dict[int, tuple[Any, Any]] = {}
+        self.feeds: dict[str, float] = {}
+        self.numbers = itertools.count(1)
+
+    def begin(self, graph: Any, feeds: Any) -> None:
+        """Speak for a graph; feeds are the robot's sensors that are published."""
+        self.graph, self.feeds, self.ticked = graph, feeds, self.clock()
+
+    def say(self, what: str, *parts: Any) -> None:
+        """Tell the robot something."""
+        held = self.clock() - self.heard_at if self.its_run else 0.0
+        head = (self.run, self.beats, self.its_run, self.its_beat, held)
+        self.send([what, *head, *parts])
+
+    def tick(self) -> None:
+        """Beat."""
+        now = self.clock()
+        gap, self.ticked = now - self.ticked, now
+        self.gap = gap if gap > 3 * BEAT else 0.0
+        self.beats += 1
+        self.say("beat")
+        if self.beats % LOOK == 1:
+            self.say("follow", self.feeds)
+            for name, ours, other, who in self.graph.strangers():
+                self.say("warn", name, ours, other, who)
+
+    def took(self, frame: list[Any]) -> None:
+        """Take what the robot says."""
+        what, run, beat, _, _, _, *parts = frame
+        if run != self.its_run:  # it has begun anew
+            self.its_run, self.its_beat, self.followed = run, -1, {}
+        if beat > self.its_beat:
+            self.its_beat, self.heard_at = beat, self.clock()
+        handle = getattr(self, "_" + what, None)
+        if handle is not None:
+            handle(*parts)
+
+    def _ready(self) -> None:
+        self.say("follow", self.feeds)
+
+    def _follow(self, wanted: Any) -> None:
+        for name in wanted:
+            if name not in self.followed:
+                told = "" if name in self.graph.topics else "it is not in [ros.topics]"
+                self.say("gone", name, told)
+        self.followed = wanted
+
+    def heard(self, topic: str, read: Any) -> None:
+        """Hand on what came by a topic, if it is wanted now: read makes it plain."""
+        now = self.clock()
+        rate = self.followed.get(topic)
+        if rate is None or now < self.due.get(topic, 0.0):
+            return
+        self.due[topic] = now + 0.9 / rate
+        # What came while nothing was done here may be as old as that time is long.
+        since = now - self.ticked
+        age = self.gap + since if self.gap else since if since > 3 * BEAT else 0.0
+        self.say("reading", topic, age, read())
+
+    def _publish(self, topic: str, age: float, message: Any) -> None:
+        self.graph.publish(topic, age, message)
+
+    def _ask(self, number: int, name: str, message: Any) -> None:
+        self.graph.call(number, name, message)
+
+    def asked(self, name: str, message: Any, end: Any, progress: Any) -> int:
+        """Ask the robot; how it ends is told with end(how, value)."""
+        number = next(self.numbers)
+        self.served[number] = end, progress
+        self.say("ask", number, name, message)
+        return number
+
+    def _answer(self, number: int, how: str, value: Any) -> None:
+        if number in self.served:
+            self.served.pop(number)[0](how, value)
+
+    def _progress(self, number: int, value: Any) -> None:
+        if number in self.served:
+            self.served[number][1](value)
+
+    def _cancel(self, number: int) -> None:
+        self.graph.cancel(number)
+
+    def give_up(self, number: int) -> None:
+        """Ask for it no more."""
+        if number in self.served:
+            self.say("cancel", number)
+            self._answer(number, "failed", "cancelled")
+
+
+def plain(value: Any) -> Any:
+    """Return a message as plain data: dictionaries, lists, numbers, texts and bytes."""
+    if hasattr(value, "get_fields_and_field_types"):
+        fields = value.get_fields_and_field_types()
+        return {name: plain(getattr(value, name)) for name in fields}
+    if isinstance(value, array.array):
+        return value.tobytes() if value.typecode == "B" else value.tolist()
+    if hasattr(value, "tolist"):  # of numpy
+        return value.tolist()
+    if isinstance(value, (list, tuple)):
+        return b"".join(value) if _are_bytes(value) else [plain(each) for each in value]
+    return value
+
+
+def _are_bytes(values: Any) -> bool:
+    return bool(values) and all(isinstance(each, bytes) for each in values)
+
+
+def found(kind: str) -> Any:
+    """Return the class of a type such as ``std_msgs/msg/String``."""
+    package, _, name = kind.replace("/", ".").rpartition(".")
+    if "." not in package:
+        package += ".msg"  # as types of fields are written
+    return getattr(importlib.import_module(package), name)
+
+
+def fill(message: Any, value: Any) -> Any:
+    """Set the fields of a message from plain data."""
+    kinds = message.get_fields_and_field_types()
+    if not isinstance(value, dict):  # a lone value is the only field, or the outcome
+        only = [each for each in kinds if each != "structure_needs_at_least_one_member"]
+        if len(only) != 1 and "success" in kinds:
+            only, value = ["success"], value is None or value
+        if value is None:
+            return message
+        if len(only) != 1:
+            raise ValueError("expected a value for each of " + ", ".join(only))
+        value = {only[0]: value}
+    for name, part in value.items():
+        if name not in kinds:
+            raise ValueError("{} is no field: {}".format(name, ", ".join(kinds)))
+        now = getattr(message, name)
+        if hasattr(now, "get_fields_and_field_types"):
+            fill(now, part)
+        elif isinstance(part, (list, tuple)) and "/" in kinds[name]:
+            inner = kinds[name].rpartition("<")[2].partition(",")[0].rstrip(">")
+            inner = inner.partition("[")[0]
+            setattr(message, name, [fill(found(inner)(), each) for each in part])
+        elif isinstance(now, float):
+            setattr(message, name, float(part))
+        elif isinstance(now, array.array):
+            if not isinstance(part, bytes):
+                part = map(float if now.typecode in "fd" else int, part)
+            setattr(message, name, array.array(now.typecode, part))
+        elif hasattr(now, "tolist") or isinstance(now, (bytes, list, tuple)):
+            setattr(message, name, part)
+        else:
+            setattr(message, name, type(now)(part))
+    return message
+
+
+class Graph:
+    """The node, with its topics, services and actions."""
+
+    def __init__(self, bridge: Any, node: Any, links: Any) -> None:
+        from rclpy.callback_groups import ReentrantCallbackGroup
+
+        self.bridge, self.node = bridge, node
+        self.group = ReentrantCallbackGroup()  # who waits keeps nobody else waiting
+        self.links = {link["name"]: link for link in links}
+        self.topics: dict[str, Any] = {}
+        self.told: set[tuple[str, str]] = set()
+        self.looked: dict[tuple[str, str], int] = {}
+        self.asked: dict[int, Any] = {}
+        self.publishers: dict[str, Any] = {}
+        self.clients: dict[str, Any] = {}
+        self.served: list[Any] = []
+        for link in links:
+            link["class"] = found(link["type"])
+            getattr(self, "_{kind}_{flow}".format(**link))(link["name"], link)
+        node.create_timer(BEAT, bridge.tick, callback_group=self.group)
+
+    def _qos(self, link: dict[str, Any], depth: int, reliable: bool) -> Any:
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+        qos = QoSProfile(depth=depth)
+        if link["latched"]:
+            qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
+        elif not reliable:
+            qos.reliability = ReliabilityPolicy.BEST_EFFORT
+        return qos
+
+    def _topic_in(self, name: str, link: dict[str, Any]) -> None:
+        def heard(message: Any) -> None:
+            self.bridge.heard(name, lambda: plain(message))
+
+        self.topics[name] = self.node.create_subscription(
+            *(link["class"], name, heard, self._qos(link, 1, False)),
+            callback_group=self.group,
+        )
+
+    def _topic_out(self, name: str, link: dict[str, Any]) -> None:
+        qos = self._qos(link, 10, True)
+        self.publishers[name] = self.node.create_publisher(link["class"], name, qos)
+
+    def _service_out(self, name: str, link: dict[str, Any]) -> None:
+        self.clients[name] = self.node.create_client(
+            link["class"], name, callback_group=self.group
+        )
+
+    def _action_out(self, name: str, link: dict[str, Any]) -> None:
+        from rclpy.action import ActionClient
+
+        self.clients[name] = ActionClient(
+            self.node, link["class"], name, callback_group=self.group
+        )
+
+    def _service_in(self, name: str, link: dict[str, Any]) -> None:
+        from rclpy.task import Future
+
+        async def serve(request: Any, response: Any) -> Any:
+            future = Future()
+            self.bridge.asked(
+                *(name, plain(request), lambda *end: future.set_result(end)),
+                lambda _: None,
+            )
+            how, value = await future
+            return self._filled(response, how, value)
+
+        self.node.create_service(link["class"], name, serve, callback_group=self.group)
+
+    def _filled(self, response: Any, how: str, value: Any) -> Any:
+        if how == "answered":
+            return fill(response, value)
+        kinds = response.get_fields_and_field_types()
+        told = {"success": False, "message": str(value)}
+        self.node.get_logger().warning(f"{how}: {value}")
+        return fill(response, {name: told[name] for name in told if name in kinds})
+
+    def _action_in(self, name: str, link: dict[str, Any]) -> None:
+        from rclpy.action import ActionServer, CancelResponse
+        from rclpy.task import Future
+
+        kind, numbers = link["class"], {}
+
+        async def execute(goal: Any) -> Any:
+            future = Future()
+
+            def progress(value: Any) -> None:
+                goal.publish_feedback(fill(kind.Feedback(), value))
+
+            number = self.bridge.asked(
+                *(name, plain(goal.request), lambda *end: future.set_result(end)),
+                progress,
+            )
+            numbers[bytes(goal.goal_id.uuid)] = number
+            if goal.is_cancel_requested:
+                self.bridge.give_up(number)
+            how, value = await future
+            del numbers[bytes(goal.goal_id.uuid)]
+            if how == "answered":
+                goal.succeed()
+            elif goal.is_cancel_requested:
+                goal.canceled()
+            else:
+                goal.abort()
+            return self._filled(kind.Result(), how, value)
+
+        def cancel(goal: Any) -> Any:
+            self.bridge.give_up(numbers.get(bytes(goal.goal_id.uuid)))
+            return CancelResponse.ACCEPT
+
+        server = ActionServer(
+            *(self.node, kind, name, execute),
+            cancel_callback=cancel,
+            callback_group=self.group,
+        )
+        self.served.append(server)
+
+    def publish(self, topic: str, age: float, message: Any) -> None:
+        """Publish plain data; a header without a time gets that of the reading."""
+        made = fill(self.links[topic]["class"](), message)
+        from rclpy.duration import Duration
+
+        at = (self.node.get_clock().now() - Duration(seconds=age)).to_msg()
+        if hasattr(made, "angle_max") and made.angle_max == 0.0:  # a scan
+            made.angle_max = made.angle_min + made.angle_increment * len(made.ranges)
+            made.range_max = made.range_max or float("inf")
+        for each in (made, *getattr(made, "transforms", ())):
+            header = getattr(each, "header", None)
+            if header is not None and header.stamp == type(header.stamp)():
+                header.stamp = at
+        self.publishers[topic].publish(made)
+
+    def call(self, number: int, name: str, message: Any) -> None:
+        """Call a service, or send a goal."""
+        say, client = self.bridge.say, self.clients[name]
+        kind = self.links[name]["class"]
+        is_action = self.links[name]["kind"] == "action"
+        is_there = client.server_is_ready if is_action else client.service_is_ready
+        if not is_there():
+            say("answer", number, "declined", f"nobody serves {name} in ROS")
+            return
+        if not is_action:
+            future = client.call_async(fill(kind.Request(), message))
+            self.asked[number] = lambda: client.remove_pending_request(future)
+
+            def answered(future: Any) -> None:
+                self.asked.pop(number, None)
+                say("answer", number, "answered", plain(future.result()))
+
+            future.add_done_callback(answered)
+            return
+
+        def feedback(told: Any) -> None:
+            say("progress", number, plain(told.feedback))
+
+        def accepted(future: Any) -> None:
+            goal = future.result()
+            if not goal.accepted:
+                self.asked.pop(number, None)
+                say("answer", number, "declined", name + " has rejected it")
+                return
+            if self.asked.get(number) is None:  # it was cancelled meanwhile
+                goal.cancel_goal_async()
+            self.asked[number] = goal.cancel_goal_async
+            goal.get_result_async().add_done_callback(ended)
+
+        def ended(future: Any) -> None:
+            self.asked.pop(number, None)
+            status, result = future.result().status, plain(future.result().result)
+            how = "answered" if status == 4 else "failed"  # STATUS_SUCCEEDED
+            told = {5: "it was cancelled in ROS", 6: name + " has aborted it"}
+            say("answer", number, how, told.get(status, result))
+
+        self.asked[number] = lambda: None
+        sent = client.send_goal_async(fill(kind.Goal(), message), feedback)
+        sent.add_done_callback(accepted)
+
+    def cancel(self, number: int) -> None:
+        """Let nobody work on it any more."""
+        if number in self.asked:
+            self.asked.pop(number)()
+
+    def strangers(self) -> Iterator[tuple[str, str, str, str]]:
+        """Yield what has the name of one of ours and another type, once each."""
+        from rclpy.action import get_action_names_and_types as actions
+
+        node, there = self.node, {}
+        there["topic"] = dict(node.get_topic_names_and_types())
+        there["service"] = dict(node.get_service_names_and_types())
+        there["action"] = dict(actions(node))
+        for name, link in self.links.items():
+            whole = node.resolve_topic_name(name)
+            for other in there[link["kind"]].get(whole, ()):
+                if other != link["type"] and (name, other) not in self.told:
+                    ends = []
+                    if link["kind"] == "topic":
+                        ends += node.get_publishers_info_by_topic(whole)
+                        ends += node.get_subscriptions_info_by_topic(whole)
+                    who = {end.node_name for end in ends if end.topic_type == other}
+                    seen = self.looked[name, other] = (
+                        self.looked.get((name, other), 0) + 1
+                    )
+                    if UNKNOWN in who and seen < 4:  # the name of a node comes later
+                        continue
+                    self.told.add((name, other))
+                    yield name, link["type"], other, ", ".join(sorted(who))
+
+
+def graph_of(node: Any) -> dict[str, list[Any]]:
+    """Return what other nodes have: name, type and who gives or takes it."""
+    from rclpy.action import get_action_names_and_types as actions
+
+    found: dict[str, list[Any]] = {"topics": [], "services": [], "actions": []}
+    for name, kinds in node.get_topic_names_and_types():
+        ends = [
+            [each.node_name for each in get(name) if each.node_name != node.get_name()]
+            for get in (
+                node.get_publishers_info_by_topic,
+                node.get_subscriptions_info_by_topic,
+            )
+        ]
+        found["topics"].append([name, kinds, *ends])
+    for kind, all_of in (
+        ("services", node.get_service_names_and_types()),
+        ("actions", actions(node)),
+    ):
+        found[kind] += [[name, kinds, [], []] for name, kinds in all_of]
+    return found
+
+
+def main() -> None:
+    """Speak for the robot until that ends."""
+    robot = socket.socket(fileno=os.dup(0))
+    stream = robot.makefile("rb")
+
+    def take() -> Any:
+        size = stream.read(4)
+        if len(size) < 4:
+            os._exit(0)  # the robot is gone
+        return unpack(stream.read(struct.unpack(">I", size)[0]))
+
+    setup = take()
+    waiting: queue.Queue[bytes] = queue.Queue()
+
+    def send(frame: list[Any]) -> None:
+        if frame[0] not in {"reading", "beat"} or waiting.qsize() < WAITING:
+            waiting.put(pack(frame))
+
+    def write() -> None:
+        while True:
+            robot.sendall(waiting.get())
+
+    threading.Thread(target=write, daemon=True).start()
+
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.signals import SignalHandlerOptions
+
+    rclpy.init(
+        domain_id=setup["domain"], signal_handler_options=SignalHandlerOptions.NO
+    )
+    node = rclpy.create_node(setup["node"], namespace=setup["namespace"])
+    if "find" in setup:
+        time.sleep(setup["find"])
+        robot.sendall(pack(["found", graph_of(node)]))
+        os._exit(0)
+    executor = SingleThreadedExecutor()
+    bridge = Bridge(send)
+    bridge.begin(Graph(bridge, node, setup["links"]), setup["feeds"])
+    executor.add_node(node)
+
+    def hear() -> None:
+        while True:
+            executor.create_task(took, take())
+
+    def took(frame: list[Any]) -> None:
+        try:
+            bridge.took(frame)
+        except Exception as error:  # what does not fit a type of ROS harms nobody else
+            node.get_logger().error(f"{frame[0]}: {error}")
+            if frame[0] == "ask":
+                bridge.say("answer", frame[6], "declined", str(error))
+
+    threading.Thread(target=hear, daemon=True).start()
+    executor.spin()
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except Exception as error:
+        sys.stderr.write(f"{type(error).__name__}: {error}\n")
+        sys.stderr.flush()
+        os._exit(1)

@@ -1,0 +1,303 @@
+"""Messages of ROS as values of this robot, and back: by a path for each field.
+
+A path is ``twist.twist.linear.x``. ``:yaw`` makes an angle of a quaternion, ``:xyz`` and
+``:xyzw`` a tuple of what has such parts. Units are those of ROS: metres, radians, seconds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+import attrs
+
+from esair.codec import Kinds
+
+
+@attrs.frozen
+class Twist:
+    """``geometry_msgs/msg/Twist``: m/s forward and to the left, rad/s counter-clockwise."""
+
+    linear: float
+    angular: float
+    lateral: float = 0.0
+
+
+@attrs.frozen
+class Scan:
+    """``sensor_msgs/msg/LaserScan``: distances in metres, counter-clockwise.
+
+    Infinite: nothing in reach. 0.0: not measured. ``first`` and ``step`` are in radians.
+    """
+
+    first: float
+    step: float
+    ranges: tuple[float, ...]
+    frame: str = ""
+
+
+@attrs.frozen
+class Odometry:
+    """``nav_msgs/msg/Odometry``: metres and rad in ``frame``, speeds in that of ``child``."""
+
+    x: float
+    y: float
+    heading: float
+    linear: float = 0.0
+    angular: float = 0.0
+    frame: str = ""
+    child: str = ""
+
+
+@attrs.frozen
+class Joints:
+    """``sensor_msgs/msg/JointState``: rad or m, rad/s or m/s, N m or N, by name."""
+
+    names: tuple[str, ...]
+    positions: tuple[float, ...]
+    velocities: tuple[float, ...] = ()
+    efforts: tuple[float, ...] = ()
+
+
+@attrs.frozen
+class Imu:
+    """``sensor_msgs/msg/Imu``: quaternion x, y, z, w; rad/s; m/s² with gravity."""
+
+    orientation: tuple[float, ...]
+    rotation: tuple[float, ...]
+    acceleration: tuple[float, ...]
+    frame: str = ""
+
+
+@attrs.frozen
+class Image:
+    """``sensor_msgs/msg/Image``: rows of ``step`` bytes, in an encoding such as ``rgb8``."""
+
+    width: int
+    height: int
+    encoding: str
+    step: int
+    data: bytes
+    frame: str = ""
+
+
+@attrs.frozen
+class Transform:
+    """``geometry_msgs/msg/TransformStamped``: where ``child`` is in ``parent``, in metres."""
+
+    parent: str
+    child: str
+    translation: tuple[float, ...]
+    rotation: tuple[float, ...]
+
+
+_FRAME: Final = {"frame": "header.frame_id"}
+_TWIST: Final = {"linear": "linear.x", "lateral": "linear.y", "angular": "angular.z"}
+_MOVED: Final = {
+    "parent": "header.frame_id",
+    "child": "child_frame_id",
+    "translation": "transform.translation:xyz",
+    "rotation": "transform.rotation:xyzw",
+    "x": "transform.translation.x",
+    "y": "transform.translation.y",
+    "heading": "transform.rotation:yaw",
+    **_FRAME,
+}
+
+READY: Final[Mapping[str, tuple[type, Mapping[str, str]]]] = {
+    "geometry_msgs/msg/Twist": (Twist, _TWIST),
+    "geometry_msgs/msg/TwistStamped": (
+        Twist,
+        {**_FRAME, **{name: f"twist.{path}" for name, path in _TWIST.items()}},
+    ),
+    "sensor_msgs/msg/LaserScan": (
+        Scan,
+        {
+            "first": "angle_min",
+            "step": "angle_increment",
+            "ranges": "ranges",
+            **_FRAME,
+        },
+    ),
+    "nav_msgs/msg/Odometry": (
+        Odometry,
+        {
+            "x": "pose.pose.position.x",
+            "y": "pose.pose.position.y",
+            "heading": "pose.pose.orientation:yaw",
+            "child": "child_frame_id",
+            **{name: f"twist.twist.{path}" for name, path in _TWIST.items()},
+            **_FRAME,
+        },
+    ),
+    "sensor_msgs/msg/JointState": (
+        Joints,
+        {
+            "names": "name",
+            "positions": "position",
+            "velocities": "velocity",
+            "efforts": "effort",
+            **_FRAME,
+        },
+    ),
+    "sensor_msgs/msg/Imu": (
+        Imu,
+        {
+            "orientation": "orientation:xyzw",
+            "rotation": "angular_velocity:xyz",
+            "acceleration": "linear_acceleration:xyz",
+            **_FRAME,
+        },
+    ),
+    "sensor_msgs/msg/Image": (
+        Image,
+        {
+            **{each: each for each in ("width", "height", "encoding", "step", "data")},
+            **_FRAME,
+        },
+    ),
+    "geometry_msgs/msg/TransformStamped": (Transform, _MOVED),
+    "tf2_msgs/msg/TFMessage": (Transform, _MOVED),
+}
+"""Types of ROS with a class here, and the paths of what fields may be called."""
+
+_ROWS: Final = {"tf2_msgs/msg/TFMessage": "transforms"}
+
+
+@attrs.frozen
+class Form:
+    """What messages of one type are here.
+
+    Attributes:
+        kind: The class; None for plain data as it comes.
+        fields: The path of each of its fields; one path for what is no class.
+        fixed: What is published at some paths, whatever the value.
+        rows: Where the rows of messages are that each stand for one value.
+    """
+
+    kind: Any = None
+    fields: Mapping[str, str] | str = ""
+    fixed: Mapping[str, Any] = attrs.field(factory=dict)
+    rows: str = ""
+
+    def value(self, message: Any) -> Any:
+        """Return what a message is here.
+
+        Raises:
+            ValueError: It has not what is expected.
+        """
+        if self.rows:
+            inner = attrs.evolve(self, rows="")
+            return tuple(inner.value(each) for each in message[self.rows])
+        try:
+            if isinstance(self.fields, str):
+                return _get(message, self.fields) if self.fields else _measured(message)
+            found = {name: _get(message, path) for name, path in self.fields.items()}
+            return self.kind(**found)
+        except (LookupError, TypeError) as error:
+            raise ValueError(f"{type(error).__name__}: {error}") from None
+
+    def message(self, value: Any) -> Any:
+        """Return what a value is in ROS, as plain data.
+
+        Raises:
+            ValueError: It has not what is expected.
+        """
+        if self.rows:
+            inner = attrs.evolve(self, rows="")
+            values = value if type(value) in {tuple, list} else (value,)
+            return {self.rows: [inner.message(each) for each in values]}
+        if self.fields == "" and not self.fixed:
+            return value
+        made: dict[str, Any] = {}
+        for path, fixed in self.fixed.items():
+            _put(made, path, fixed)
+        if isinstance(self.fields, str):
+            if self.fields:
+                _put(made, self.fields, value)
+                return made
+            return {**value, **made} if isinstance(value, dict) else value
+        try:
+            for name, path in self.fields.items():
+                if (part := getattr(value, name)) != "" or path not in self.fixed:
+                    _put(made, path, part)
+        except AttributeError as error:
+            raise ValueError(str(error)) from None
+        return made
+
+
+def form_of(
+    ros: str,
+    kind: Any = None,
+    fields: Mapping[str, str] | str | None = None,
+    fixed: Mapping[str, Any] | None = None,
+) -> Form:
+    """Return what messages of a type are here.
+
+    Args:
+        ros: The type, such as ``sensor_msgs/msg/LaserScan``.
+        kind: The class; that for the type if there is one ready, else plain data.
+        fields: The path of a field, where it is not called as a ready one, or as in ROS.
+        fixed: What is published at some paths, whatever the value.
+
+    Raises:
+        ValueError: A field has no path.
+    """
+    ready, paths = READY.get(ros, (None, None))
+    fixed = fixed or {}
+    shape = Kinds([kind or ready]) if kind or ready else None
+    if isinstance(fields, str):
+        return Form(kind, fields, fixed)
+    if shape is None or (kind or ready) not in shape:
+        is_one = ros.startswith("std_msgs/msg/") and not ros.endswith("Array")
+        return Form(kind, "data" if is_one and fields is None else "", fixed)
+    kind = kind or ready
+    known = dict(paths or {})
+    told, about = {}, shape.shape(kind)
+    for name in about.fields:
+        path = (fields or {}).get(name) or known.get(name)
+        if path is None and paths is None:
+            path = name
+        if path is not None:
+            told[name] = path
+        elif name not in about.defaults:
+            raise ValueError(
+                f"{kind.__qualname__}.{name} is none of {', '.join(known)} of {ros}: "
+                f"expected its path, fields = {{ {name} = '...' }}"
+            )
+    if unknown := set(fields or {}) - set(about.fields):
+        raise ValueError(f"{kind.__qualname__} has no field {min(unknown)!r}")
+    return Form(kind, told, fixed, _ROWS.get(ros, ""))
+
+
+def _get(message: Any, path: str) -> Any:
+    path, _, how = path.partition(":")
+    for step in path.split("."):
+        message = message[step]
+    if how == "yaw":
+        x, y, z, w = (message[each] for each in "xyzw")
+        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return tuple(message[each] for each in how) if how else _measured(message)
+
+
+def _measured(part: Any) -> Any:
+    """Return rows as tuples, with 0.0 for what is no number: it was not measured."""
+    if isinstance(part, list):
+        return tuple(0.0 if each != each else each for each in map(_measured, part))
+    if isinstance(part, dict):
+        return {name: _measured(each) for name, each in part.items()}
+    return part
+
+
+def _put(message: dict[str, Any], path: str, value: Any) -> None:
+    path, _, how = path.partition(":")
+    *steps, last = path.split(".")
+    for step in steps:
+        message = message.setdefault(step, {})
+    if how == "yaw":
+        half = value / 2.0
+        value = {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)}
+    elif how:
+        value = dict(zip(how, map(float, value), strict=True))
+    message[last] = value

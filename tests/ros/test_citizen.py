@@ -1,0 +1,275 @@
+"""ROS is one more peer: topics, services and actions, on a graph in memory."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import sys
+from typing import Any
+
+import pytest
+from tests.ros.parts import Citizen, Count, Done, Light, Motion, twist
+
+import esair
+
+pytestmark = pytest.mark.virtual_clock
+
+
+class Hand(esair.Behavior):
+    """A behavior in the hands of a test."""
+
+    range = esair.reads(float)
+    wheels = esair.writes(Motion, priority=1)
+
+    async def run(self) -> None:
+        await asyncio.get_running_loop().create_future()
+
+
+async def publish(citizen: Citizen, seconds: float, topic: str = "/cmd_vel") -> None:
+    """Publish at 50 Hz, as a teleop does."""
+    for _ in range(round(seconds * 50)):
+        citizen.fake.publish(topic, twist(0.3))
+        await asyncio.sleep(0.02)
+
+
+@pytest.mark.promise("ROS-2")
+async def test_a_topic_drives_by_registration_and_priority() -> None:
+    """What comes by it reaches the wheels; ``why`` tells the topic, and lower ones wait."""
+    citizen, hand = Citizen(), Hand()
+    async with citizen.running(hand) as robot:
+        driving = asyncio.create_task(publish(citizen, 0.5))
+        await asyncio.sleep(0.3)
+        why = robot.resources.why("wheels")
+        assert (why.holder, why.priority) == ("ros:/cmd_vel", 5)
+        refused = await hand.wheels.write(Motion(1.0, 0.0))
+        assert not refused
+        assert refused.holder == "ros:/cmd_vel"
+        await driving
+    assert citizen.wheels.commands.count(Motion(0.3, 0.0)) >= 20
+    assert Motion(1.0, 0.0) not in citizen.wheels.commands
+
+
+@pytest.mark.promise("ROS-2")
+async def test_a_topic_that_falls_silent_leaves_the_wheels_safe() -> None:
+    """Within command_timeout and 50 ms after the last command."""
+    citizen = Citizen()
+    async with citizen.running():
+        await publish(citizen, 0.5)
+        last = asyncio.get_running_loop().time() - 0.02
+        await citizen.wheels.until(Motion(0.0, 0.0), timeout=1.0)
+        assert asyncio.get_running_loop().time() - last <= 0.25
+
+
+@pytest.mark.promise("ROS-2")
+async def test_two_topics_have_two_priorities() -> None:
+    """The higher one wins, as with any two behaviors."""
+    citizen = Citizen(topics=("/nav/cmd_vel", "/teleop/cmd_vel"))
+    async with citizen.running() as robot:
+        both = [
+            asyncio.create_task(publish(citizen, 0.5, topic))
+            for topic in ("/nav/cmd_vel", "/teleop/cmd_vel")
+        ]
+        await asyncio.sleep(0.3)
+        assert robot.resources.why("wheels").holder == "ros:/teleop/cmd_vel"
+        await asyncio.gather(*both)
+
+
+@pytest.mark.promise("ROS-2")
+async def test_a_policy_and_a_command_know_the_topic_by_its_name() -> None:
+    """It may be denied, ended and begun again as any behavior."""
+    policy = esair.Policy("wheels", allow={"ros:/cmd_vel": esair.Access.WRITE})
+    citizen = Citizen()
+    async with citizen.running(policies=[policy]) as robot:
+        await publish(citizen, 0.2)
+        assert Motion(0.3, 0.0) in citizen.wheels.commands
+        await robot.behaviors.command("remove ros:/cmd_vel")
+        assert citizen.wheels.commands[-1] == Motion(0.0, 0.0)
+        await publish(citizen, 0.2)
+        assert citizen.wheels.commands[-1] == Motion(0.0, 0.0)
+
+
+@pytest.mark.promise("ROS-2")
+async def test_what_was_held_up_here_moves_nothing() -> None:
+    """A command that lay in the robot's side for longer than command_timeout is refused."""
+    citizen = Citizen()
+    async with citizen.running():
+        bridge = citizen.fake._bridge
+        assert bridge is not None
+        bridge.ticked -= 0.5  # its process was stopped for half a second
+        before = len(citizen.wheels.commands)
+        citizen.fake.publish("/cmd_vel", twist(0.3))
+        await asyncio.sleep(0.1)
+        assert Motion(0.3, 0.0) not in citizen.wheels.commands[before:]
+        await asyncio.sleep(0.2)
+        await publish(citizen, 0.1)
+        assert citizen.wheels.commands[-1] == Motion(0.3, 0.0)
+
+
+@pytest.mark.promise("ROS-1")
+async def test_a_topic_is_a_sensor_and_a_sensor_a_topic() -> None:
+    """By its local name, as plain values; a sensor is published at its rate."""
+    citizen, hand = Citizen(), Hand()
+    async with citizen.running(hand):
+        citizen.fake.publish("/range", {"data": 1.5})
+        await asyncio.sleep(0.1)
+        assert await hand.range.read() == 1.5
+        citizen.sonar.feed(0.25)
+        await asyncio.sleep(0.5)
+    assert ("/sonar", {"data": 0.25}) in citizen.fake.published
+
+
+@pytest.mark.promise("ROS-1")
+async def test_ros_asks_a_behavior() -> None:
+    """A service and an action are asks: answered, refused, with progress, cancelled."""
+    citizen = Citizen()
+    async with citizen.running():
+        ros, news = citizen.fake, list[Any]()
+        assert await ros.call("/light", {"data": True}) == (
+            "answered",
+            {"success": True, "message": "lit"},
+        )
+        how, told = await ros.call("/light", {"data": False})
+        assert how == "declined"
+        assert "it stays lit" in told
+
+        goal = ros.call("/count", {"order": 3}, news.append)
+        await asyncio.sleep(0.1)
+        assert news == [{"sequence": [0, 1]}]
+        goal.cancel()
+        await asyncio.sleep(0.1)
+        assert citizen.lamp.cancelled == 1
+
+        citizen.lamp.go.set()
+        how, told = await ros.call("/count", {"order": 3})
+        assert (how, told) == ("answered", {"sequence": (0, 1, 1, 2)})
+        assert citizen.lamp.seen == [Light(True), Light(False), Count(3), Count(3)]
+
+
+@pytest.mark.promise("ROS-1")
+async def test_a_behavior_asks_ros() -> None:
+    """A service and an action of ROS are behaviors; nobody there: refused."""
+    citizen, hand, cancelled = Citizen(), Hand(), []
+
+    async def light(message: Any, _: Any) -> Any:
+        return {"success": message["data"], "message": "far"}
+
+    async def count(message: Any, progress: Any) -> Any:
+        progress({"sequence": [0]})
+        try:
+            await asyncio.sleep(0.1 * message["order"])
+        except asyncio.CancelledError:
+            cancelled.append(message)
+            raise
+        return {"sequence": [0, 1]}
+
+    async with citizen.running(hand):
+        with pytest.raises(esair.RefusedError, match="nobody serves /far_light"):
+            await hand.ask("far_light", Light(True))
+        citizen.fake.services = {"/far_light": light, "/far_count": count}
+        assert await hand.ask("far_light", Light(True)) == Done(True, "far")
+        news: list[Any] = []
+        answer = await hand.ask("far_count", Count(3), progress=news.append)
+        assert (answer, news) == ((0, 1), [{"sequence": [0]}])
+        with pytest.raises(esair.BehaviorUnavailableError):
+            await hand.ask("far_count", Count(90), timeout=0.3)
+        await asyncio.sleep(0.1)
+        assert cancelled == [{"order": 90}]
+
+
+@pytest.mark.promise("ROS-2")
+async def test_the_end_of_its_process_is_a_restart() -> None:
+    """LOST, begun again, READY; the wheels are safe, an ask is not known, nobody else fell."""
+    citizen, hand = Citizen(), Hand()
+    begun = asyncio.Event()
+
+    async def light(message: Any, _: Any) -> Any:
+        begun.set()
+        await asyncio.sleep(100.0)
+
+    async with citizen.running(hand) as robot:
+        citizen.fake.services = {"/far_light": light}
+        await publish(citizen, 0.2)
+        asking = asyncio.create_task(hand.ask("far_light", Light(True)))
+        await begun.wait()
+        citizen.fake.kill()
+        with pytest.raises(esair.OutcomeUnknownError):
+            await asking
+        assert robot.resources.query("ros").state is esair.ResourceState.LOST
+        await citizen.wheels.until(Motion(0.0, 0.0), timeout=0.3)
+
+        await asyncio.sleep(2.0)
+        assert citizen.fake.begun == 2
+        assert robot.resources.query("ros").state is esair.ResourceState.READY
+        await publish(citizen, 0.2)
+        assert citizen.wheels.commands[-1] == Motion(0.3, 0.0)
+        for each in citizen.behaviors:
+            assert robot.behaviors.query(each.name).restarts == 0
+
+
+@pytest.mark.promise("ROS-2")
+async def test_a_process_that_hangs_is_ended() -> None:
+    """It says nothing for two seconds: ended, and begun again."""
+    citizen = Citizen()
+    async with citizen.running() as robot:
+        citizen.fake.stall()
+        await asyncio.sleep(1.5)
+        assert robot.resources.query("ros").state is not esair.ResourceState.READY
+        await asyncio.sleep(2.0)
+        assert citizen.fake.begun == 2
+        assert robot.resources.query("ros").state is esair.ResourceState.READY
+
+
+@pytest.mark.promise("ROS-3")
+async def test_another_type_is_one_warning(caplog: pytest.LogCaptureFixture) -> None:
+    """It names both types and whose it is; it is told once, also after a restart."""
+    other = (
+        "/cmd_vel",
+        "geometry_msgs/msg/Twist",
+        "geometry_msgs/msg/TwistStamped",
+        "nav",
+    )
+    citizen = Citizen()
+    with caplog.at_level(logging.WARNING):
+        async with citizen.running():
+            citizen.fake.others = [other, other]
+            await asyncio.sleep(2.0)
+            citizen.fake.others = [other]
+            await asyncio.sleep(2.0)
+    told = [
+        each.getMessage()
+        for each in caplog.records
+        if "TwistStamped" in each.msg % each.args
+    ]
+    assert len(told) == 1
+    assert "geometry_msgs/msg/Twist here" in told[0]
+    assert "by nav" in told[0]
+
+
+@pytest.mark.promise("ROS-2")
+async def test_bytes_of_the_process_move_counters_only() -> None:
+    """Frames that are none are counted; what was right before stays right."""
+    citizen = Citizen()
+    async with citizen.running():
+        bridge, bus = citizen.fake._bridge, citizen.bus
+        assert bridge is not None
+        before = bus.stats.bad_frames
+        for what, *parts in (
+            ("reading", "/none", 0.0, {}),
+            ("reading", "/cmd_vel", 0.0, {"linear": 3}),
+            ("reading", "/cmd_vel", -1.0, twist(1.0)),
+            ("ask", 1, "/nobody", {}),
+            ("import", "os"),
+            ("reading",),
+        ):
+            bridge.say(what, *parts)
+        await asyncio.sleep(0.1)
+        assert bus.stats.bad_frames - before == 6
+        assert citizen.wheels.commands.count(Motion(1.0, 0.0)) == 0
+        await publish(citizen, 0.1)
+        assert citizen.wheels.commands[-1] == Motion(0.3, 0.0)
+
+
+@pytest.mark.promise("ROS-2")
+def test_rclpy_is_never_here() -> None:
+    """The robot's process has nothing of ROS."""
+    assert "rclpy" not in sys.modules
