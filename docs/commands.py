@@ -42,6 +42,7 @@ REASONS = {
     "terminal": "it reads keys, or draws until somebody ends it",
     "browser": "it waits for a page or a viewer",
     "compiler": "it needs a compiler for another processor",
+    "ros": "it needs ROS 2 and a graph that runs",
 }
 """Why a command of a page is not typed by a test."""
 

@@ -49,6 +49,7 @@ def test_what_is_not_typed_has_a_reason_and_is_counted() -> None:
         "terminal": 6,
         "browser": 2,
         "compiler": 1,
+        "ros": 1,
     }
 
 

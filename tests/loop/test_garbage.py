@@ -72,13 +72,13 @@ def test_all_is_looked_at_when_there_is_twice_as_much(
     monkeypatch.setattr(_garbage, "FEW", 1_000)
     circle: list[object] = []
     circle.append(circle)
-    held = [[number] for number in range(3_000)]
+    held = [[number] for number in range(50_000)]
     collector.collect()
     del circle
     before = collector.collected
     collector.collect()
     assert collector.collected > before
-    assert len(held) == 3_000
+    assert len(held) == 50_000
 
 
 LITTER = """

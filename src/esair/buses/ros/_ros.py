@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import collections
+import contextlib
 import logging
 import os
 import socket
@@ -406,7 +407,8 @@ def look_at(
     _, said, words = started
     setup = {"node": "esair_find", "namespace": "", "domain": domain, "find": seconds}
     try:
-        with said.makefile("rwb") as stream:
+        # A process that has ended may leave what it was told unread.
+        with contextlib.suppress(ConnectionError), said.makefile("rwb") as stream:
             stream.write(_child.pack(setup))
             stream.flush()
             size = stream.read(4)
