@@ -83,7 +83,7 @@ class Clock(Sensor[WallTime]):
         **settings: Those of any sensor.
     """
 
-    rate = 1.0
+    rate: float = 1.0
     blocking = False
 
     def __init__(

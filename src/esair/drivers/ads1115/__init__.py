@@ -6,7 +6,7 @@ Source: ADS111x Ultra-Small, Low-Power, I2C-Compatible, 860-SPS, 16-Bit ADCs, SB
 from __future__ import annotations
 
 import asyncio
-from typing import Any, Unpack
+from typing import Any, ClassVar, Unpack
 
 import attrs
 
@@ -89,7 +89,7 @@ class Ads1115(OnChip, Sensor[float]):
         address: 0x48 to 0x4b, by the chip's pin ADDR.
     """
 
-    addresses = range(0x48, 0x4C)
+    addresses: ClassVar[range] = range(0x48, 0x4C)
     full_scale: float = setting(
         4.096,
         unit="V",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import struct
+from collections.abc import Mapping
 from typing import Any, ClassVar, Unpack
 
 import attrs
@@ -161,9 +162,11 @@ class Bme280(OnChip, Sensor[Climate]):
         address: 0x76, or 0x77 if the chip's pin SDO is high.
     """
 
-    addresses = range(0x76, 0x78)
-    identity_register = "ID", ID, IDENTITY
-    others: ClassVar = dict.fromkeys((0x56, 0x57, 0x58), "a BMP280, without humidity")
+    addresses: ClassVar[range] = range(0x76, 0x78)
+    identity_register: ClassVar[tuple[str, int, int]] = "ID", ID, IDENTITY
+    others: ClassVar[Mapping[int, str]] = dict.fromkeys(
+        (0x56, 0x57, 0x58), "a BMP280, without humidity"
+    )
     rate: float = setting(
         1.0, unit="Hz", min=0.001, max=50.0, doc="how often it is asked"
     )

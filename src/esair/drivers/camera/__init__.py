@@ -26,7 +26,7 @@ import functools
 import time
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Protocol, Unpack
 
 import attrs
 
@@ -160,7 +160,7 @@ class Camera(Sensor[Any]):
     """
 
     deadline: float = OPEN_TIMEOUT + 2.0
-    counted = ("dropped",)
+    counted: ClassVar[tuple[str, ...]] = ("dropped",)
 
     def __init__(
         self,

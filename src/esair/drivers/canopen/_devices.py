@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any, Required, Unpack
+from typing import Any, ClassVar, Required, Unpack
 
 from canopen.objectdictionary import FLOAT_TYPES, INTEGER_TYPES
 from canopen.sdo.exceptions import SdoAbortedError
@@ -108,7 +108,7 @@ class CanopenSensor(_Object, Sensor[Any]):
         bad_frames: How many PDOs were too short.
     """
 
-    counted = ("bad_frames",)
+    counted: ClassVar[tuple[str, ...]] = ("bad_frames",)
 
     def __init__(
         self, *, pdo: bool = False, **settings: Unpack[_SensorSettings]

@@ -25,7 +25,7 @@ EMCY).
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from typing import Unpack
+from typing import ClassVar, Unpack
 
 import attrs
 
@@ -78,7 +78,7 @@ class DriveState(OnDrive, Sensor[DriveReading]):
         bad_frames: How many PDOs were too short.
     """
 
-    counted = ("bad_frames",)
+    counted: ClassVar[tuple[str, ...]] = ("bad_frames",)
 
     def __init__(
         self,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any, Literal, Unpack
+from typing import Any, ClassVar, Literal, Unpack
 
 from esair.buses import CanBus, Frame, Inbox
 from esair.buses.can import Mask
@@ -62,7 +62,7 @@ class DbcSensor(Sensor[Any]):
     bad_frames: int
 
     bus: CanBus
-    counted = "bad_frames", "repeated", "dropped"
+    counted: ClassVar[tuple[str, ...]] = "bad_frames", "repeated", "dropped"
 
     bad_frame_limit: int = 10
     """How many frames in a row may be bad, or repeated, before it is a fault."""

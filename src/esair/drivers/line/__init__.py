@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import AsyncIterator
-from typing import Any, TypedDict, Unpack
+from typing import Any, ClassVar, TypedDict, Unpack
 
 from esair.buses import Inbox, SerialBus
 from esair.drivers._on_bus import check_bus, hear_first, heard
@@ -138,7 +138,7 @@ class LineSensor(_OnLine, Sensor[float]):
         bad_lines: How many values were no number.
     """
 
-    counted = ("bad_lines",)
+    counted: ClassVar[tuple[str, ...]] = ("bad_lines",)
 
     def __init__(
         self,

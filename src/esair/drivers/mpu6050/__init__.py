@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import Any, Unpack
+from typing import Any, ClassVar, Unpack
 
 import attrs
 
@@ -97,8 +97,8 @@ class Mpu6050(OnChip, Sensor[Motion]):
         address: 0x68, or 0x69 if the chip's pin AD0 is high.
     """
 
-    addresses = range(0x68, 0x6A)
-    identity_register = "WHO_AM_I", WHO_AM_I, IDENTITY
+    addresses: ClassVar[range] = range(0x68, 0x6A)
+    identity_register: ClassVar[tuple[str, int, int]] = "WHO_AM_I", WHO_AM_I, IDENTITY
     rate: float = setting(
         50.0, unit="Hz", min=1.0, max=200.0, doc="how often it is asked"
     )

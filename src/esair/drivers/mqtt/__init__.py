@@ -36,7 +36,7 @@ import asyncio
 import json
 import math
 from collections.abc import AsyncIterator, Mapping
-from typing import Any, TypedDict, Unpack
+from typing import Any, ClassVar, TypedDict, Unpack
 
 from esair.buses import Inbox
 from esair.buses.mqtt import Message, MqttBus, MqttLink, matches
@@ -173,7 +173,7 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
     """
 
     _topic_of_announcement = "command_topic"
-    counted = ("bad_payloads",)
+    counted: ClassVar[tuple[str, ...]] = ("bad_payloads",)
 
     def __init__(
         self,

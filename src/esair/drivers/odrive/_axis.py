@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
-from typing import Any, Literal, Required, TypedDict, Unpack
+from typing import Any, ClassVar, Literal, Required, TypedDict, Unpack
 
 import attrs
 
@@ -127,7 +127,7 @@ class OdriveState(_OnAxis, Sensor[AxisReading]):
         bad_frames: How many frames were too short.
     """
 
-    counted = ("bad_frames",)
+    counted: ClassVar[tuple[str, ...]] = ("bad_frames",)
 
     def __init__(self, **settings: Unpack[_SensorSettings]) -> None:
         super().__init__(**settings)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import weakref
-from typing import Any, Required, TypeVar, Unpack
+from typing import Any, ClassVar, Required, TypeVar, Unpack
 
 import attrs
 
@@ -97,7 +97,7 @@ class ChannelSettings(ActuatorSettings, total=False):
 class OnChannel(OnChip, Actuator[T]):
     """What all that is on a channel has in common."""
 
-    addresses = range(0x40, 0x78)  # what the pins A0 to A5 give
+    addresses: ClassVar[range] = range(0x40, 0x78)  # what the pins A0 to A5 give
 
     def __init__(
         self,

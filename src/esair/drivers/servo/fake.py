@@ -152,7 +152,7 @@ class FakeServos(Wire):
         self.written: list[tuple[int, int, bytes]] = []
         self.plugged: bool = True
         self.delay: float = 0.0
-        self.turns = 0
+        self.turns: int = 0
         self._garble = 0
         self._stalled = False
         self._framing = self._packets.fresh()
