@@ -309,19 +309,17 @@ def test_a_broken_configuration_is_exit_code_2(folder, start) -> None:
     assert not (where / "log.jsonl").exists()
 
 
-def test_each_wrong_value_of_an_option_is_told(
-    folder, esair_command, capsys, monkeypatch
-) -> None:
+def test_each_wrong_value_of_an_option_is_told(folder, start) -> None:
     """At once, as exit code 2, and nothing is opened."""
     where = folder("Once")
-    monkeypatch.chdir(where)
     words = ["--for=-1", "--page", "[::1]:70000", "--realtime=99"]
     places = ["--placement", "it=moon", "--placement", "nobody=process"]
 
-    assert esair_command("run", "robot.toml", *words, *places) == 2
+    process = start("run", "robot.toml", *words, *places, cwd=where)
+    _, told = process.communicate(timeout=60)
 
-    told = capsys.readouterr().err.splitlines()
-    ours = [line for line in told if line.startswith("esair: ")]
+    assert process.returncode == 2
+    ours = [line for line in told.splitlines() if line.startswith("esair: ")]
     assert [line.split(": ")[1] for line in ours] == [
         "--for",
         "page",
