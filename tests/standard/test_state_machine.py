@@ -586,9 +586,6 @@ class SupervisorMachine(RuleBasedStateMachine):
             wheels: Any = self.resources.get("wheels")
             reachable = wheels is not None and wheels.can_be_told
             reachable = reachable and not self.slow_before
-            if wheels is not None and wheels.was_odd:
-                # One that was given up then, and lives: the report names it.
-                reachable = reachable and not self.robot._resources.left
             self.run(self.robot.__aexit__(None, None, None))
             for told in self.robot.stopped:
                 assert not told.answered or wheels.commands[-1] == SAFE
