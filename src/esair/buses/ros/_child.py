@@ -28,6 +28,7 @@ BEAT = 0.05  # how often it beats, in seconds
 LOOK = 20  # beats after which it looks for other types, and tells what it wants
 UNKNOWN = "_NODE_NAME_UNKNOWN_"  # as DDS calls a node of which it has not heard yet
 WAITING = 64  # readings that may wait to be sent; what comes then is dropped
+MOST = 1024  # of anything; a robot that does not listen is no robot, and it ends
 
 
 def pack(frame: Any) -> bytes:
@@ -459,6 +460,9 @@ def main() -> None:
     waiting: queue.Queue[bytes] = queue.Queue()
 
     def send(frame: list[Any]) -> None:
+        if waiting.qsize() >= MOST:
+            os.write(2, b"the robot does not listen: too much waits for it\n")
+            os._exit(1)  # a lost peer, that begins anew
         if frame[0] not in {"reading", "beat"} or waiting.qsize() < WAITING:
             waiting.put(pack(frame))
 
@@ -485,11 +489,15 @@ def main() -> None:
     bridge.begin(Graph(bridge, node, setup["links"]), setup["feeds"])
     executor.add_node(node)
 
+    room = threading.Semaphore(WAITING)  # then the robot's end of the socket is full
+
     def hear() -> None:
         while True:
+            room.acquire()
             executor.create_task(took, take())
 
     def took(frame: list[Any]) -> None:
+        room.release()
         try:
             bridge.took(frame)
         except Exception as error:  # what does not fit a type of ROS harms nobody else

@@ -23,6 +23,7 @@ from esair.buses.ros._forms import Form
 from esair.codec import CodecError
 from esair.exceptions import BadValueError, DeviceLostError, describe
 from esair.loop import Door, spawn
+from esair.values import printable
 
 _log = logging.getLogger("esair")
 
@@ -342,8 +343,14 @@ class Living:
         """Log what it prints, and keep its last words."""
 
         async def log() -> None:
-            while line := await words.readline():
-                self._words.append(line.decode("utf-8", "replace").strip())
+            while True:
+                try:
+                    line = await words.readline()
+                except ValueError:  # longer than a stream keeps: it is left out
+                    continue
+                if not line:
+                    return
+                self._words.append(printable(line.decode("utf-8", "replace").strip()))
                 _log.info("%s: %s", self.bus.name, self._words[-1])
 
         self._hearing = spawn(asyncio.get_running_loop(), log(), name="what ros prints")
@@ -416,6 +423,6 @@ def look_at(
                 frame = _child.unpack(stream.read(struct.unpack(">I", size)[0]))
                 return dict(frame[1])
         told = words.makefile("r", errors="replace").read().strip().rpartition("\n")[2]
-        raise DeviceLostError("ros", told or "its process has ended")
+        raise DeviceLostError("ros", printable(told) or "its process has ended")
     finally:
         _kill(started)
