@@ -13,8 +13,8 @@ class Explore(esair.Behavior):
 
     async def run(self) -> None:
         before = False
-        async for _ in esair.every(0.05):
-            touch = bool(await self.bumper.read())
+        async for reading in self.bumper:  # each, so that no touch is missed
+            touch = bool(reading)
             self.touched += touch and not before
             before = touch
             await self.wheels.write((1.0, 1.0))

@@ -11,6 +11,7 @@ import pytest
 from tests.chips import robots
 
 import esair
+from esair.cli._new import write_project
 from esair.firmware.c._wiring import Wiring
 from esair.minimal import Reaction, declared
 
@@ -24,6 +25,7 @@ TRANSLATED = {
     *("reflex Stop", "reflex Cruise", "reflexes Avoid", "reflexes Gentle"),
     *("greenhouse NotTooWarm", "greenhouse NotTooWet", "modbus_pump Fill"),
     *("follow_line Follow", "follow_line Clear", "greenhouse_plan NotTooWet"),
+    "rover KeepClear",
 }
 """The others read or write what only a computer has, or take the history of a port."""
 
@@ -75,6 +77,9 @@ def test_it_is_translated_or_refused_with_a_reason(file, tmp_path, monkeypatch) 
     if "drivers.mavlink" in file.read_text():
         pytest.importorskip("pymavlink", reason="the extra 'mavlink' is missing")
     monkeypatch.syspath_prepend(str(file.parent))
+    if "from scout." in file.read_text():  # the tutorial's project
+        write_project("scout", tmp_path / "scout")
+        monkeypatch.syspath_prepend(str(tmp_path / "scout"))
     spec = importlib.util.spec_from_file_location(f"chips_of_{file.stem}", file)
     assert spec is not None
     assert spec.loader is not None
@@ -90,6 +95,8 @@ def test_it_is_translated_or_refused_with_a_reason(file, tmp_path, monkeypatch) 
         ):
             found[name] = outcome(made(cls), tmp_path / name)
     found.pop("Reaction", None)
+    for each in [each for each in sys.modules if each.partition(".")[0] == "scout"]:
+        del sys.modules[each]
     assert found
     for name, told in found.items():
         is_translated = f"{file.stem} {name}" in TRANSLATED
