@@ -101,6 +101,28 @@ async def test_a_stop_names_the_motion_that_it_could_not_wait_for(user_of: Any) 
     assert robot.resources.abandoned() == ()
 
 
+@pytest.mark.promise("CALL-1", "CALL-2")
+@pytest.mark.parametrize(("takes", "answered"), [(30.0, False), (3.0, True)])
+async def test_a_motion_given_up_before_the_stop_is_named_while_it_lives(
+    takes: float, answered: bool, user_of: Any
+) -> None:
+    """Though wheels answer again: what it does late may undo what they have answered."""
+    motor = Motor(takes, deaf=True)
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]) as robot:
+        with pytest.raises(esair.DriverStuckError):
+            await user.motor.write(1.0)
+        motor.takes = 0.0
+        await asyncio.sleep(3.0)
+    (told,) = robot.stopped
+    assert told.safe
+    assert motor.landed[-1] == 0.0
+    assert told.answered is answered
+    assert ("(1.0), begun before it, has not ended" in told.error) is not answered
+    await asyncio.sleep(40.0)
+    assert robot.resources.abandoned() == ()
+
+
 @pytest.mark.promise("CALL-1")
 async def test_a_writer_gets_its_outcome_at_the_deadline(user_of: Any) -> None:
     """Though the driver swallows its cancellation, and goes on for a minute."""
