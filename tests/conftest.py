@@ -80,6 +80,10 @@ def pytest_collection_modifyitems(
     Most of what needs real time waits: for a process to start, for a time-out. It runs
     on one worker, one test after the other, and those of other files meanwhile.
     """
+    for item in items:
+        where = getattr(item, "callspec", None)
+        if where is not None and where.params.get("place") == "process":
+            item.add_marker("long")  # each has a process to start
     if not config.getoption("--esair-soak"):
         for item in items:
             if item.get_closest_marker("soak") is not None:

@@ -216,13 +216,68 @@ class Unsendable(esair.Behavior):
         self.function = function
 
 
+class Turn(esair.Reaction):
+    """A step of another one: it turns, and misbehaves at its third decision."""
+
+    sonar = esair.reads(float)
+    wheels = esair.writes(Twist)
+
+    def __init__(self, fault: str) -> None:
+        super().__init__()
+        self.fault = fault
+        self.steps = 0
+
+    def react(self, sonar: float) -> Twist:
+        self.steps += 1
+        if self.steps == 3:
+            misbehave(self.fault)
+        return Twist(0.0, 0.5)
+
+
+class Watch(esair.Reaction):
+    wheels = esair.guards(Twist)
+
+    def react(self, wheels: Twist) -> Twist:
+        return wheels
+
+
 class Performer(esair.Behavior):
-    """Performs another one, where it cannot."""
+    """Performs what it should not: a guard, a step that dies, a lie."""
 
     placement = "process"
+    wheels = esair.writes(Twist)
+
+    def __init__(self, act: str) -> None:
+        super().__init__()
+        self.act = act
 
     async def run(self) -> None:
-        await self.perform(esair.Behavior(name="step"))
+        child: Any = self._host._child
+        if self.act == "guard":
+            await self.perform(Watch())
+        elif self.act == "local":
+
+            class Local(esair.Behavior):
+                pass
+
+            await self.perform(Local())
+        elif self.act == "function":
+            told = {"module": "os", "class": "abort", "args": (), "options": {}}
+            await child.call("step", told)
+        elif self.act == "constructor":
+            told = {"module": "os", "class": "PathLike", "args": (), "options": {}}
+            await child.call("manage", "add", told)
+        elif self.act == "nonsense":
+            await child.call("step", 3)
+        elif self.act == "verdict":
+            child._decide = lambda *_: 7  # no decision and verdict
+            await self.perform(Turn(""))
+        elif self.act == "stage":
+            child.ask("stage", 99)
+            child.ask("stage", 99)
+            await self.wheels.write(Twist(0.7, 0.0))
+        else:
+            await self.perform(Turn(self.act))
 
 
 class Talker(esair.Behavior):

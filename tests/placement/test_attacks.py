@@ -10,6 +10,7 @@ import sys
 import textwrap
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.placement.parts import (
@@ -27,6 +28,10 @@ import esair
 from esair.testing import FakeSensor
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.xdist_group("placement")]
+
+
+def long_(value: str) -> Any:
+    return pytest.param(value, marks=pytest.mark.long)
 
 
 def children_of(pid: int) -> list[int]:
@@ -246,14 +251,62 @@ async def test_what_cannot_be_placed_is_a_finding() -> None:
     assert len(raised.value.exceptions) == 5
 
 
-@pytest.mark.promise("PLC-1")
-async def test_a_step_of_a_placed_one_is_refused_in_words() -> None:
-    """What a child cannot perform is an error that says what to do instead."""
-    async with esair.Robot(behaviors=[Performer()]) as robot:
+REFUSED = {
+    "guard": "a guard stays in the robot's process",
+    "local": "the robot has no class of an action loaded as",
+    "function": "the robot has no class of an action loaded as os:abort",
+    "constructor": "the robot has no class of an action loaded as os:PathLike",
+    "nonsense": "expected an action, not 3",
+    "verdict": "has sent what is no value",
+}
+
+
+@pytest.mark.promise("PLC-1", "PLC-5")
+@pytest.mark.parametrize(
+    "act", [each if each == "guard" else long_(each) for each in REFUSED]
+)
+async def test_what_a_child_cannot_perform_is_refused_in_words(act: str) -> None:
+    """A guard, a class of a function, and whatever is no class of an action."""
+    wheels, sonar = fake_wheels(), FakeSensor("sonar", 1.0)
+    allows = esair.Policy.behaviors(allow={"performer": "manage"})
+    async with esair.Robot(
+        resources=[wheels, sonar], behaviors=[Performer(act)], policies=[allows]
+    ) as robot:
         await until(lambda: robot.behaviors.query("performer").error is not None)
-        error = robot.behaviors.query("performer").error
-    assert "performer performs a step" in str(error)
-    assert "make the step a component" in str(error)
+        assert REFUSED[act] in str(robot.behaviors.query("performer").error)
+        assert set(wheels.commands) <= {STOP}
+
+
+@pytest.mark.long
+@pytest.mark.promise("PLC-1", "PLC-5")
+async def test_a_stage_of_no_step_is_nothing() -> None:
+    """A child that says it twice, or of a step that is over, moves nothing by it."""
+    wheels = fake_wheels()
+    async with esair.Robot(resources=[wheels], behaviors=[Performer("stage")]) as robot:
+        await wheels.until(Twist(0.7, 0.0), timeout=10.0)
+        assert robot.behaviors.query("performer").restarts == 0
+
+
+@pytest.mark.long
+@pytest.mark.promise("PLC-3", "BEH-2")
+@pytest.mark.parametrize("fault", ["kill", "segfault", "exit", "abort", "hang"])
+async def test_a_step_that_kills_its_process_is_its_performers_death(
+    fault: str,
+) -> None:
+    """What it moved is safe; its performer is started again, and performs it again."""
+    wheels, sonar = fake_wheels(), FakeSensor("sonar", 1.0)
+    sonar.rate = 50.0
+    performer = Performer(fault)
+    place(performer, esair.Placement(stall=0.6))
+    async with esair.Robot(resources=[wheels, sonar], behaviors=[performer]) as robot:
+        await wheels.until(Twist(0.0, 0.5), timeout=10.0)
+        await until(lambda: robot.behaviors.query("performer").restarts == 1)
+        assert isinstance(
+            robot.behaviors.query("performer").error, esair.ProcessDiedError
+        )
+        await until(lambda: wheels.commands[-1] == STOP)
+        before = len(wheels.commands)
+        await until(lambda: Twist(0.0, 0.5) in wheels.commands[before:])
 
 
 @pytest.mark.promise("PLC-1")

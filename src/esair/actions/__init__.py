@@ -14,8 +14,8 @@ What is computed of readings is a sensor that is declared like a reaction (`_der
 request of one behavior to another is typed by what it is answered with (`_requests`).
 """
 
-from esair.actions._behavior import NOTHING, Behavior, Host, PortTerms
-from esair.actions._blocking import BlockingCalls, ThreadBehavior
+from esair.actions._behavior import NOTHING, Behavior, Host, Mail, PortTerms
+from esair.actions._blocking import ThreadBehavior, give, run_as_step, take_back
 from esair.actions._blocking_ports import (
     BlockingActuatorPort,
     BlockingSensorPort,
@@ -39,7 +39,13 @@ from esair.actions._needs import (
     writes,
 )
 from esair.actions._reaction import MinimalReaction, Reaction, StepClock, adapt_action
-from esair.actions._reaction_runner import GuardRunner, Hooks, ReactionRunner, ordered
+from esair.actions._reaction_runner import (
+    GuardRunner,
+    Hooks,
+    ReactionRunner,
+    by_name,
+    ordered,
+)
 from esair.actions._requests import (
     BlockingRequestPort,
     Request,
@@ -60,7 +66,6 @@ __all__ = [
     "Behavior",
     "Blind",
     "BlockingActuatorPort",
-    "BlockingCalls",
     "BlockingRequestPort",
     "BlockingSensorPort",
     "Derivation",
@@ -69,6 +74,7 @@ __all__ = [
     "Guards",
     "Hooks",
     "Host",
+    "Mail",
     "MinimalReaction",
     "Need",
     "PortTerms",
@@ -88,14 +94,18 @@ __all__ = [
     "answer_type",
     "answers",
     "blocking",
+    "by_name",
     "declared_requests",
     "declared_works",
     "each_of",
+    "give",
     "guards",
     "in_loop",
     "is_request",
     "ordered",
     "reads",
+    "run_as_step",
+    "take_back",
     "taken",
     "takes",
     "works",

@@ -23,7 +23,7 @@ from esair.actions._needs import ProfiledAction, Unbound, not_bound
 from esair.actions._reaction import Reaction, adapt_action
 from esair.actions._requests import Request, Takes, declared_requests
 from esair.connections import ActuatorPort, Halting, SensorPort, Stopped
-from esair.exceptions import BadValueError
+from esair.exceptions import BadValueError, ConfigError
 from esair.loop import PUT_COST, VERB_COST, Budget, Portal, portal
 from esair.messages import Access, BehaviorStatus, Restart
 from esair.values import check_duration, passes_as, type_name
@@ -413,6 +413,9 @@ class Behavior(ProfiledAction):
         """
         host = self._host
         await Budget.spend(VERB_COST)
+        for field, time in (("timeout", timeout), ("blind_timeout", blind_timeout)):
+            if time is not None:
+                check_duration(self.name, field, time)
         if isinstance(reaction, Behavior):
             if until is not None or blind_timeout is not None:
                 told = (
@@ -421,6 +424,9 @@ class Behavior(ProfiledAction):
                 raise BadValueError(self.name, "perform", told)
             return await host.perform_behavior(reaction, timeout)
         adapted: Reaction = adapt_action(reaction)
+        if not isinstance(adapted, Reaction):
+            told = f"expected a Reaction or a Behavior, not {reaction!r:.80}"
+            raise ConfigError(self.name, "perform", told)
         return await host.perform(adapted, until, timeout, blind_timeout)
 
     @overload

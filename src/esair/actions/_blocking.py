@@ -6,17 +6,30 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import inspect
+import types
 from collections.abc import Awaitable, Callable
 from typing import Any, Concatenate, Literal, ParamSpec, TypeVar, cast, overload
 
 from esair import minimal
-from esair.actions._behavior import Behavior, BlockingBehaviors, D, portal_of
+from esair.actions._behavior import (
+    Behavior,
+    BlockingBehaviors,
+    D,
+    Host,
+    Mail,
+    portal_of,
+)
 from esair.actions._blocking_ports import (
     BlockingActuatorPort,
     BlockingSensorPort,
     in_loop,
 )
+from esair.actions._needs import Need, ProfiledAction
 from esair.actions._reaction import Reaction
+from esair.actions._requests import BlockingRequestPort, RequestPort, Takes
+from esair.exceptions import BehaviorUnavailableError
+from esair.loop import Owner, Portal
 from esair.messages import Access
 
 R = TypeVar("R")
@@ -134,3 +147,96 @@ class ThreadBehavior(BlockingCalls, Behavior):  # type: ignore[misc]  # as it sa
     def supervisor(self) -> BlockingBehaviors:
         """The behaviors of the robot: what they do, and, with a right, to manage them."""
         return cast("BlockingBehaviors", super().supervisor)
+
+
+_CALLS = {
+    name: method
+    for name, method in vars(BlockingCalls).items()
+    if isinstance(method, types.FunctionType)
+}
+"""What a plain behavior calls in its thread, and others await."""
+
+
+def give(
+    behavior: Behavior,
+    host: Host,
+    mail: Mail,
+    portal: Portal | None,
+    port_of: Callable[[str, Need], Any],
+    loop_of: Callable[[str, Takes[Any]], Callable[[], Any]] | None,
+) -> None:
+    """Give a behavior what it declares; with a portal all of it waits, in its thread.
+
+    Args:
+        behavior: Who gets it.
+        host: What it asks of its supervisor.
+        mail: How it exchanges data with others.
+        portal: The way of its thread, if it has one.
+        port_of: Makes the port of a need, by its attribute.
+        loop_of: Where requests come from, by its attribute; None if it takes none.
+    """
+    fields = vars(behavior)
+    fields["_host"], fields["_mail"] = host, mail
+    if portal is not None and not isinstance(behavior, ThreadBehavior):
+        for name, method in _CALLS.items():
+            fields[name] = types.MethodType(method, behavior)
+    for attribute, need in behavior.needs.items():
+        fields[attribute] = port_of(attribute, need)
+    for attribute, each in (behavior.takes if loop_of else {}).items():
+        if loop_of and isinstance(each, Takes) and each.method is None:
+            loop = loop_of(attribute, each)
+            fields[attribute] = (
+                BlockingRequestPort(loop, portal) if portal else RequestPort(loop)
+            )
+
+
+def take_back(action: ProfiledAction, host: Host, portal: Portal | None) -> None:
+    """Take a behavior its supervisor, if it has not another one by now."""
+    fields = vars(action)
+    if fields.get("_host") is not host:
+        return
+    del fields["_host"], fields["_mail"]
+    for name in _CALLS if portal is not None else ():
+        fields.pop(name, None)
+
+
+async def run_as_step(
+    behavior: Behavior,
+    performer: str,
+    portal: Portal | None,
+    owner: Owner,
+    timeout: float | None,
+    is_ready: Callable[[], object],
+) -> Any:
+    """Set up a behavior that another performs, run it and clean up, in this task.
+
+    Returns:
+        What its ``run`` returns.
+
+    Raises:
+        BehaviorUnavailableError: It did not end within the time.
+        Exception: What it raised.
+    """
+
+    async def call(method: Callable[[], Any]) -> Any:
+        if inspect.iscoroutinefunction(method):
+            return await method()
+        found: list[Any] = [None]
+        way = portal
+        if way is None or way.closed:
+            way = Portal(performer, owner)
+        await way.run(lambda: found.append(method()))
+        return found[-1]
+
+    try:
+        async with asyncio.timeout(timeout) as limit:
+            await call(behavior.setup)
+            is_ready()
+            return await call(behavior.run)
+    except TimeoutError:
+        if timeout is None or not limit.expired():
+            raise
+        told, state = "come to its end", f"a step of {performer}"
+        raise BehaviorUnavailableError(behavior.name, told, timeout, state) from None
+    finally:
+        await call(behavior.teardown)

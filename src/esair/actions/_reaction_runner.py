@@ -129,7 +129,7 @@ class ReactionRunner:
         self._sampling: Sampling | None = None
         """How its steps wait for their samples, if it has a rate."""
         self._late = 0
-        self._until = None if hooks.until is None else _by_name(hooks.until, reaction)
+        self._until = None if hooks.until is None else by_name(hooks.until, reaction)
         self.parked: bool = True
         self.blind: bool = True  # whether it has not decided since it could not
         self.flaw: BadValueError | None = None
@@ -484,7 +484,7 @@ def step_time(reaction: Reaction, loop: asyncio.AbstractEventLoop) -> StepTime |
 # What its functions get: the readings, by the names of their parameters.
 
 
-def _by_name(
+def by_name(
     until: Callable[..., bool], reaction: Reaction
 ) -> Callable[[Mapping[str, Any]], bool]:
     """Adapt a condition that names the readings it wants."""

@@ -9,10 +9,10 @@ from esair.loading import late
 
 if TYPE_CHECKING:
     from esair.placement._runner import PlacedRunner
-    from esair.placement._seat import Seat, Seats
+    from esair.placement._seat import Seat, Seats, StepSeat
 
-__all__ = ["PlacedRunner", "Seat", "Seats"]
+__all__ = ["PlacedRunner", "Seat", "Seats", "StepSeat"]
 
 __getattr__, __dir__ = late(
-    __name__, {"_runner": "PlacedRunner", "_seat": "Seat Seats"}
+    __name__, {"_runner": "PlacedRunner", "_seat": "Seat Seats StepSeat"}
 )

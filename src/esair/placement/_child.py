@@ -15,38 +15,20 @@ import socket
 import sys
 import threading
 import time
-import types
 from collections.abc import Callable
 from typing import Any, Final
 
-from esair.actions import (
-    Behavior,
-    BlockingCalls,
-    BlockingRequestPort,
-    Reaction,
-    RequestPort,
-    Takes,
-    ThreadBehavior,
-    adapt_action,
-    ordered,
-)
+from esair.actions import Behavior, Reaction, adapt_action
 from esair.exceptions import BusyError, describe
-from esair.loop import OwnedTasks, Owner, Portal, Stepping, Stream, raisable, spawn
-from esair.placement._home import Host, Order, Orders, port_for, scope
+from esair.loop import OwnedTasks, Owner, Portal, Stream, raisable, spawn
+from esair.placement._home import Order, Reacting, fill, scope
 from esair.placement._kinds import KindsOfChild
 from esair.placement._loop import ChildLoop
-from esair.placement._recipe import make
+from esair.placement._recipe import find, make
 from esair.placement._wire import CALLS, Item, Values, Wire
 from esair.placement._words import RECORD
-from esair.plan import inner_of
+from esair.plan import inner_of, recipe_of
 from esair.resources import Sensor, adapt_resource
-
-_PLAIN = {
-    name: method
-    for name, method in vars(BlockingCalls).items()
-    if isinstance(method, types.FunctionType)
-}
-"""What a plain behavior calls in its thread."""
 
 _MIB: Final = 1 << 20
 
@@ -94,7 +76,8 @@ class Child:
         self._has_turn = False
         self._stall: float | None = None
         self._streams: dict[int, Any] = {}
-        self._react: Callable[..., Any] | None = None
+        self.reacting: dict[int, Reacting] = {}
+        """The reaction that it is, or those that it performs, by the number of the call."""
         self._thread = threading.get_ident()
         self.loop = ChildLoop(self)
         asyncio.set_event_loop(self.loop)
@@ -360,52 +343,27 @@ class Child:
             comm.write(f"esair {self.name}"[:15])
 
     def _make(self, recipe: dict[str, Any]) -> None:
-        made = adapt_action(adapt_resource(make(recipe)))
+        made = adapt_action(adapt_resource(make(recipe, find(recipe))))
         made._name = recipe["name"]  # noqa: SLF001 - as the robot calls it
         _KINDS.declare(type(inner_of(made)))
         self.component = made
         if isinstance(made, Behavior):
-            self._settle_behavior(made)
+            if not inspect.iscoroutinefunction(made.run):
+                self.portal = Portal(self.name, self._own)
+            fill(self, made, self.portal)
         elif isinstance(made, Reaction):
-            for attribute, need in made.needs.items():
-                vars(made)[attribute] = port_for(self, attribute, need.resource, None)
-            self._react = ordered(made)[1]
+            self.reacting[0] = Reacting(self, made)
         else:
             assert isinstance(made, Sensor)
             made._listener = self._device_said  # noqa: SLF001 - as its life does
 
-    def _settle_behavior(self, made: Behavior) -> None:
-        fields = vars(made)
-        if not inspect.iscoroutinefunction(made.run):
-            self.portal = Portal(self.name, self._own)
-            if not isinstance(made, ThreadBehavior):
-                for name, method in _PLAIN.items():
-                    fields[name] = types.MethodType(method, made)
-        fields["_host"] = fields["_mail"] = Host(self)
-        for attribute, need in made.needs.items():
-            fields[attribute] = port_for(self, attribute, need.resource, self.portal)
-        for attribute, each in made.takes.items():
-            if isinstance(each, Takes) and each.method is None:
-                source = Orders(self, attribute)
-                fields[attribute] = (
-                    BlockingRequestPort(source.loop, self.portal)
-                    if self.portal
-                    else RequestPort(source.loop)
-                )
+    def _decide(self, step: int, *asked: Any) -> Any:
+        return self.reacting[step].decide(*asked)
 
-    def _decide(self, values: list[Any], now_ms: int, elapsed_ms: int) -> Any:
-        reaction = self.component
-        for each in {reaction, getattr(reaction, "reaction", reaction)}:
-            each.now_ms, each.elapsed_ms = now_ms, elapsed_ms
-        stepping = Stepping.of(self.loop)
-        stepping.owner = self.owner  # whose random numbers it draws
-        try:
-            assert self._react is not None
-            return self._react(*values)
-        except BaseException as error:
-            raise raisable(error, "the reaction") from error
-        finally:
-            stepping.owner = None
+    def recipe(self, action: Any) -> dict[str, Any]:
+        """Return what the robot makes of an action that was made here."""
+        _KINDS.declare(type(inner_of(action)))
+        return recipe_of(adapt_action(action))
 
     def _device_said(self, error: BaseException | None) -> None:
         if error is None:

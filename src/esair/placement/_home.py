@@ -3,21 +3,40 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import contextvars
 import inspect
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator, Iterator
 from typing import Any, Protocol
 
-from esair.actions import NOTHING, PortTerms, each_of, in_loop, taken
+from esair import minimal
+from esair.abc import Action
+from esair.actions import (
+    NOTHING,
+    Behavior,
+    Need,
+    PortTerms,
+    Reaction,
+    by_name,
+    each_of,
+    give,
+    in_loop,
+    ordered,
+    run_as_step,
+    take_back,
+    taken,
+)
 from esair.connections import Halting, Stopped
-from esair.loop import Budget, Owner, Portal, spawn
+from esair.loop import Budget, Owner, Portal, Stepping, raisable, spawn
 from esair.messages import BehaviorStatus
 from esair.placement._loop import ChildLoop
 from esair.placement._wire import Values
+from esair.plan import in_use, refuse, used_already
 
 scope: contextvars.ContextVar[int] = contextvars.ContextVar("esair_scope", default=0)
 """For which call of the robot the code that runs now works."""
 
+_ACTIONS = (Action, minimal.Reaction)
 _AWAITED = {"read", "reading", "write", "configure", "operate"}
 _CALLED = {"history", "why", "release"}
 _ASKED = {"newest", "settings", "state", "max_age"}
@@ -30,6 +49,7 @@ class Line(Protocol):
     values: Values
     portal: Portal | None
     orders: dict[int, Callable[[], object]]
+    reacting: dict[int, Reacting]
 
     @property
     def name(self) -> str: ...
@@ -41,16 +61,17 @@ class Line(Protocol):
     def ask(self, verb: str, *args: Any, **options: Any) -> Any: ...
     def note(self, verb: str, *args: Any) -> None: ...
     def told_of(self, number: int, hear: Callable[[Any], object]) -> None: ...
+    def recipe(self, action: Any) -> dict[str, Any]: ...
 
 
 class Host:
     """What a behavior asks of its supervisor, and how it reaches others."""
 
-    def __init__(self, child: Line) -> None:
+    def __init__(self, child: Line, portal: Portal | None, step: str = "") -> None:
         self._child = child
+        self._step = step
         self.budget = Budget.of(child.loop)
-        self.portal = child.portal
-        self._ports = 0
+        self.portal = portal
 
     def hand(self, *_: object) -> bool:
         return False  # not without a wait
@@ -89,18 +110,67 @@ class Host:
         if inspect.iscoroutine(told):
             spawn(self._child.loop, told, name="progress", owner=self._child.owner)
 
-    async def perform(self, *_: object) -> bool:
-        raise NotImplementedError(
-            f"{self._child.name} performs a step, but lives in a process of its own: "
-            "make the step a component, or leave the behavior in the robot's process"
-        )
+    async def perform(
+        self,
+        reaction: Reaction,
+        until: Callable[..., bool] | None,
+        timeout: float | None,
+        blind_timeout: float | None,
+    ) -> bool:
+        child = self._child
+        ends = None if until is None else by_name(until, reaction)
+        asked = child.recipe(reaction), ends is not None, timeout, blind_timeout
+        outcome = child.call("perform", *asked)
+        step = Reacting(child, reaction, ends, str(child.newest))
+        child.reacting[child.newest] = step
+        try:
+            return bool(await outcome)
+        except Exception as error:
+            raise step.error or error from None
+        finally:
+            del child.reacting[int(step.number)]
 
-    perform_behavior = perform
+    async def perform_behavior(self, behavior: Behavior, timeout: float | None) -> Any:
+        child = self._child
+        if in_use(behavior):
+            refuse([used_already(behavior)], "")
+        portal = None
+        if not inspect.iscoroutinefunction(behavior.run):
+            assert child.owner is not None
+            portal = Portal(child.name, child.owner)
+        over = child.call("step", child.recipe(behavior))
+        number, granted = child.newest, child.loop.create_future()
+        child.told_of(number, granted.set_result)
+        try:
+            await asyncio.wait({over, granted}, return_when=asyncio.FIRST_COMPLETED)
+        except asyncio.CancelledError:
+            over.cancel()
+            raise
+        if over.done():
+            return over.result()
+        host = fill(child, behavior, portal, str(number))
+        try:
+            assert child.owner is not None
+            return await run_as_step(
+                *(behavior, child.name, portal, child.owner, timeout),
+                lambda: child.ask("stage", number),
+            )
+        finally:
+            take_back(behavior, host, portal)
+            with contextlib.suppress(Exception):  # the behavior's own is told
+                child.note("stage", number)
+                child.note("stage", number)
+                await over
+            over.cancel()
 
     async def register(self, terms: PortTerms) -> Any:
         resource, access, _, priority, hold, max_age = terms
-        asked = resource, access, priority, hold, max_age
-        key = await self._child.call("register", *asked)
+        key = await self._child.call(
+            *("register", self._step, resource, access),
+            priority=priority,
+            hold=hold,
+            max_age=max_age,
+        )
         return port_for(self._child, key, resource, self.portal)
 
     def halt_robot(self, reason: str) -> Halting:
@@ -123,7 +193,70 @@ class Host:
         return self._child.ask("query", name)  # type: ignore[no-any-return]
 
     async def manage(self, verb: str, *args: Any) -> Any:
-        return await self._child.call("manage", verb, *args)
+        told = (
+            self._child.recipe(each) if isinstance(each, _ACTIONS) else each
+            for each in args
+        )
+        return await self._child.call("manage", verb, *told)
+
+
+def fill(
+    child: Line, behavior: Behavior, portal: Portal | None, step: str = ""
+) -> Host:
+    """Give a behavior what it declares: it, or a step that it performs."""
+    host = Host(child, portal, step)
+
+    def port_of(attribute: str, need: Need) -> Any:
+        return port_for(child, f"{step}:{attribute}", need.resource, portal)
+
+    def loop_of(attribute: str, _: Any) -> Callable[[], Loop]:
+        return lambda: Loop(child, attribute)
+
+    give(behavior, host, host, portal, port_of, loop_of)
+    return host
+
+
+class Reacting:
+    """A reaction that decides here, when it is asked: it, or a step of a behavior.
+
+    Attributes:
+        error: What it has raised.
+    """
+
+    def __init__(
+        self,
+        child: Line,
+        reaction: Reaction,
+        until: Callable[[dict[str, Any]], bool] | None = None,
+        number: str = "",
+    ) -> None:
+        for attribute, need in reaction.needs.items():
+            key = f"{number}:{attribute}"
+            vars(reaction)[attribute] = port_for(child, key, need.resource, None)
+        self.number = number
+        self.error: BaseException | None = None
+        self._told = {reaction, getattr(reaction, "reaction", reaction)}
+        self._names, self._react = ordered(reaction)
+        self._until = until
+        self._stepping = Stepping.of(child.loop)
+        self._owner = child.owner
+
+    def decide(self, values: list[Any], now_ms: int, elapsed_ms: int) -> Any:
+        """Make a step; returns what it decides, and of a step whether it was the last."""
+        for each in self._told:
+            each.now_ms, each.elapsed_ms = now_ms, elapsed_ms
+        self._stepping.owner = self._owner  # whose random numbers it draws
+        try:
+            decided = self._react(*values)
+            if not self.number:
+                return decided
+            read = dict(zip(self._names, values, strict=True))
+            return decided, self._until is not None and bool(self._until(read))
+        except BaseException as error:
+            self.error = error
+            raise raisable(error, "the reaction") from error
+        finally:
+            self._stepping.owner = None
 
 
 def port_for(child: Line, key: str, resource: str, portal: Portal | None) -> Any:
@@ -201,17 +334,6 @@ class BlockingPort:
 
 def _named(port: RemotePort, name: str, *args: Any, **options: Any) -> Any:
     return getattr(port, name)(*args, **options)
-
-
-class Orders:
-    """Where a port gets the requests that wait for its behavior."""
-
-    def __init__(self, child: Line, attribute: str) -> None:
-        self._child = child
-        self._attribute = attribute
-
-    def loop(self) -> Loop:
-        return Loop(self._child, self._attribute)
 
 
 class Loop(AsyncIterator[Any]):

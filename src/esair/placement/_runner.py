@@ -7,7 +7,7 @@ from typing import Any, Final
 from esair.actions import Hooks, Reaction, ReactionRunner, StepClock
 from esair.exceptions import BadValueError, ProcessDiedError
 from esair.loop import Deadlines, Job, Owner, Step
-from esair.placement._seat import Seat
+from esair.placement._seat import Seat, StepSeat
 
 PATIENCE: Final = 0.2
 """How long an answer may take if no actuator says by its ``command_timeout``, in s."""
@@ -34,7 +34,7 @@ class PlacedRunner(ReactionRunner):
     def __init__(
         self,
         reaction: Reaction,
-        seat: Seat,
+        seat: Seat | StepSeat,
         hooks: Hooks,
         *,
         began: float = 0.0,
@@ -88,7 +88,7 @@ class PlacedRunner(ReactionRunner):
         clock.step(now)
         step = (list(senses.values), clock.now_ms, clock.elapsed_ms)
         try:
-            self._seat.tell("react", step, self._answered)
+            self._seat.decide(step, self._answered)
         except Exception as error:
             self.crash(error)
             return

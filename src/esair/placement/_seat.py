@@ -21,12 +21,21 @@ from esair.messages import Placement, placement_of
 from esair.placement._kinds import kinds_of_robot, plain_result
 from esair.placement._nursery import Nursery
 from esair.placement._process import End, Process
-from esair.placement._verbs import Asked, BehaviorVerbs, PortVerbs, SensorVerbs
+from esair.placement._verbs import (
+    Asked,
+    BehaviorVerbs,
+    PortVerbs,
+    SensorVerbs,
+    StepSeat,
+)
 from esair.placement._wire import CALLS, Item, Values
 from esair.plan import recipe_of
 from esair.resources import Resource
 
 _NOBODY: Final = contextvars.Context()
+
+
+__all__ = ["Seat", "Seats", "StepSeat"]
 
 
 class Verbs(Protocol):
@@ -194,10 +203,10 @@ class Seat:
         if error is not None and self.process is not None:
             self.process.refuse(error)
 
-    def tell(self, verb: str, args: tuple[Any, ...], end: End) -> None:
-        """Call a method in the child; its end comes to a function."""
+    def decide(self, step: tuple[Any, ...], end: End, number: int = 0) -> None:
+        """Have a reaction decide in the child; its decision comes to a function."""
         assert self.process is not None
-        self.process.call(verb, args, end)
+        self.process.call("react", (number, *step), end)
 
     # What its verbs need (`Chair`).
 

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine, Mapping
+import contextlib
+from collections.abc import Callable, Coroutine, Iterator, Mapping
 from typing import Any, NamedTuple, Protocol
 
 from esair.actions import Behavior, Reaction
-from esair.exceptions import AccessDeniedError
-from esair.loop import clock_of
+from esair.exceptions import AccessDeniedError, ConfigError
+from esair.loop import clock_of, wake
 from esair.messages import Access, Refused
+from esair.placement._recipe import loaded
 
 _PORT_WAITS = {"read", "reading", "write", "configure", "operate"}
 _PORT_PLAIN = {"history", "why", "release", "newest", "settings", "state", "max_age"}
+_MANAGED = {"add", "remove", "replace", "restart", "switch"}
 _ORDER = {"answer", "refuse", "progress", "cancelled"}
 
 Call = Callable[..., Any]
+End = Callable[[Any, BaseException | None], object]
 
 
 class Asked(NamedTuple):
@@ -38,6 +42,44 @@ class Chair(Protocol):
     def keep_scope(self) -> int: ...
     def unpack_error(self, data: bytes) -> BaseException: ...
     def command_timeout(self, resource: str) -> float | None: ...
+    def decide(self, step: tuple[Any, ...], end: End, number: int) -> None: ...
+
+
+class StepSeat:
+    """The seat of a reaction that a behavior performs: a part of the behavior's own.
+
+    What the child answers is what the step has decided, and whether it is over.
+    """
+
+    def __init__(self, chair: Chair, number: int) -> None:
+        self._chair = chair
+        self._number = number
+        self._over = False
+
+    @property
+    def loop(self) -> asyncio.AbstractEventLoop:
+        return asyncio.get_running_loop()
+
+    def sit(self, owner: object) -> None:
+        """It begins, ends and dies with the behavior."""
+
+    begin = sit
+
+    def end(self) -> None:
+        """As above."""
+
+    def is_over(self) -> bool:
+        return self._over
+
+    def decide(self, step: tuple[Any, ...], end: End) -> None:
+        """Have the child decide."""
+
+        def decided(value: Any, error: BaseException | None) -> None:
+            if error is None:
+                value, self._over = value
+            end(value, error)
+
+        self._chair.decide(step, decided, self._number)
 
 
 class SensorVerbs:
@@ -57,14 +99,18 @@ class PortVerbs:
     def __init__(self, chair: Chair, action: Behavior | Reaction) -> None:
         self._chair = chair
         self._action = action
+        self._actions: dict[str, Behavior | Reaction] = {"": action}
+        """It, and the steps that it performs now, by what their ports begin with."""
         self._registered: dict[str, Any] = {}
         self.plain: Mapping[str, Call] = {"peek": self._peek}
         self.waits: Mapping[str, Call] = {}
 
     def _find(self, key: str, name: str, allowed: set[str]) -> Any:
         port = self._registered.get(key)
-        if port is None and key in self._action.needs:
-            port = vars(self._action).get(key)
+        step, _, attribute = key.rpartition(":")
+        action = self._actions.get(step)
+        if port is None and action is not None and attribute in action.needs:
+            port = vars(action).get(attribute)
         if port is None or name not in allowed:
             raise AccessDeniedError(self._action.name, key, name, "it is not declared")
         return port
@@ -89,6 +135,8 @@ class BehaviorVerbs(PortVerbs):
         self._loops: dict[int, tuple[Any, int]] = {}
         self._number = 0
         self._halting: Any = None
+        self._stages: dict[int, Iterator[asyncio.Future[None]]] = {}
+        """What each behavior that is performed waits for, by the number of its call."""
         self.orders: dict[int, Any] = {}
         """The requests that the child works on, by their number."""
         self._left: dict[int, asyncio.Future[BaseException | None]] = {}
@@ -100,6 +148,7 @@ class BehaviorVerbs(PortVerbs):
             ),
             "query": lambda name: behavior.supervisor.query(name),
             "halt": self._halt,
+            "stage": self._next_stage,
             "order": self._order,
             "enter": self._enter,
             "leave": self._leave,
@@ -111,6 +160,8 @@ class BehaviorVerbs(PortVerbs):
             "ask": self._ask,
             "receive": self._receive,
             "register": self._register,
+            "perform": self._perform,
+            "step": self._step,
             "manage": self._manage,
             "stop": lambda _, reason: Behavior.stop_robot(behavior, reason),
             "halted": self._halted,
@@ -141,25 +192,65 @@ class BehaviorVerbs(PortVerbs):
         return await getattr(port, name)(*args, **options)
 
     async def _register(
-        self,
-        _: Asked,
-        resource: str,
-        access: Access,
-        priority: int,
-        hold: float | None,
-        max_age: float | None,
+        self, _: Asked, step: str, resource: str, access: Access, **terms: Any
     ) -> str:
-        port = await Behavior.register(
-            self._behavior,
-            resource,
-            access,
-            priority=priority,
-            hold=hold,
-            max_age=max_age,
-        )
-        key = f"registered {self._next()}"
+        behavior: Any = self._actions[step]
+        port = await Behavior.register(behavior, resource, access, **terms)
+        key = f"{step}:registered {self._next()}"
         self._registered[key] = port
         return key
+
+    # Steps: their code runs in the child, their rights and their blindness are here.
+
+    async def _perform(
+        self, asked: Asked, recipe: object, ends: bool, *limits: float | None
+    ) -> bool:
+        reaction = loaded(recipe)
+        if not isinstance(reaction, Reaction) or reaction.guarded is not None:
+            told = "a guard stays in the robot's process, and so does who performs it"
+            raise ConfigError(reaction.name, "placement", told)
+        seat = StepSeat(self._chair, asked.number)
+        until = seat.is_over if ends else None
+        with self._performed(asked, reaction):
+            host = vars(self._behavior)["_host"]
+            return await host.perform(reaction, until, *limits, seat)  # type: ignore[no-any-return]
+
+    async def _step(self, asked: Asked, recipe: object) -> None:
+        behavior = loaded(recipe)
+        if not isinstance(behavior, Behavior):
+            raise ConfigError(behavior.name, "", "expected a Behavior")
+        loop = asyncio.get_running_loop()
+        is_set_up, is_over = stages = loop.create_future(), loop.create_future()
+
+        async def setup() -> None:
+            self._chair.reply("news", asked.number, None)
+            await is_set_up
+
+        async def run() -> None:
+            await is_over
+
+        async def teardown() -> None:
+            """The child has done it."""
+
+        vars(behavior).update(setup=setup, run=run, teardown=teardown)
+        self._stages[asked.number] = iter(stages)
+        with self._performed(asked, behavior):
+            await vars(self._behavior)["_host"].perform_behavior(behavior, None)
+
+    @contextlib.contextmanager
+    def _performed(self, asked: Asked, action: Behavior | Reaction) -> Iterator[None]:
+        step = str(asked.number)
+        self._actions[step] = action
+        try:
+            yield
+        finally:
+            del self._actions[step]
+            self._stages.pop(asked.number, None)
+            for key in [k for k in self._registered if k.startswith(f"{step}:")]:
+                del self._registered[key]
+
+    def _next_stage(self, number: int) -> None:
+        wake(next(self._stages.get(number, iter(())), None))
 
     async def _values(self, _: Asked, key: str) -> int:
         number = self._next()
@@ -188,15 +279,11 @@ class BehaviorVerbs(PortVerbs):
     async def _receive(self, _: Asked, timeout: float | None) -> tuple[str, Any]:
         return await Behavior.receive_from(self._behavior, timeout=timeout)
 
-    async def _manage(self, _: Asked, verb: str, name: str) -> Any:
-        if verb not in {"remove", "restart"}:
-            raise AccessDeniedError(
-                self._behavior.name,
-                "behaviors",
-                verb,
-                "it lives in a process of its own",
-            )
-        return await getattr(self._behavior.supervisor, verb)(name)
+    async def _manage(self, _: Asked, verb: str, *args: Any) -> Any:
+        if verb not in _MANAGED:
+            raise AccessDeniedError(self._behavior.name, "behaviors", verb, "no verb")
+        made = [each if isinstance(each, str) else loaded(each) for each in args]
+        return await getattr(self._behavior.supervisor, verb)(*made)
 
     def _halt(self, reason: str) -> None:
         self._halting = self._behavior.halt_robot(reason)
@@ -226,16 +313,22 @@ class BehaviorVerbs(PortVerbs):
 
     async def _attend(self, number: int, request: Any) -> None:
         """Be the one who works on a request, for the child."""
-        async with request:
-            try:
-                error = await self._left[number]
-            except asyncio.CancelledError:
-                left = self._left[number] = asyncio.get_running_loop().create_future()
-                self._chair.reply("withdrawn", number, None)
-                await left
+        error: BaseException | None = None
+        try:
+            async with request:
+                try:
+                    error = await self._left[number]
+                except asyncio.CancelledError:
+                    loop = asyncio.get_running_loop()
+                    left = self._left[number] = loop.create_future()
+                    self._chair.reply("withdrawn", number, None)
+                    await left
+                    raise
+                if error is not None:
+                    raise error
+        except Exception as raised:  # its asker is told, and in the child its worker
+            if raised is not error:
                 raise
-            if error is not None:
-                raise error
 
     def _leave(self, number: int, error: bytes | None) -> None:
         left = self._left.pop(number, None)

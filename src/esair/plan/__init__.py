@@ -17,10 +17,11 @@ from esair.plan._examine import (
     examine_step,
     failures,
     in_use,
+    used_already,
 )
 from esair.plan._finding import Finding, Severity, errors_in, refuse
 from esair.plan._needs import denial, depths, not_alone, unmet
-from esair.plan._placement import SCRIPT, inner_of, recipe_of
+from esair.plan._placement import SCRIPT, inner_of, recipe_of, unplaceable
 from esair.plan._plan import Plan
 from esair.plan._protection import (
     UNWATCHED,
@@ -55,5 +56,7 @@ __all__ = [
     "recipe_of",
     "refuse",
     "unmet",
+    "unplaceable",
+    "used_already",
     "when_alone",
 ]

@@ -5,15 +5,12 @@ from __future__ import annotations
 import asyncio
 import inspect
 import logging
-import types
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from esair.actions import (
     ActuatorPort,
     Behavior,
-    BlockingCalls,
-    BlockingRequestPort,
     GuardRunner,
     Guards,
     Hooks,
@@ -23,12 +20,12 @@ from esair.actions import (
     Reaction,
     ReactionRunner,
     Reads,
-    RequestPort,
     SensorPort,
-    Takes,
-    ThreadBehavior,
     Writes,
     blocking,
+    give,
+    run_as_step,
+    take_back,
 )
 from esair.connections import (
     UNDECIDED,
@@ -42,8 +39,6 @@ from esair.connections import (
 from esair.exceptions import (
     AccessDeniedError,
     BadValueError,
-    BehaviorUnavailableError,
-    ConfigError,
     EsairError,
     describe,
 )
@@ -54,7 +49,7 @@ from esair.supervisors._control_path import only_the_user
 from esair.values import check_duration, printable
 
 if TYPE_CHECKING:
-    from esair.placement import Seat
+    from esair.placement import Seat, StepSeat
     from esair.supervisors._behavior_deployment import BehaviorDeployment
     from esair.supervisors._member import Member
 
@@ -202,14 +197,6 @@ def _entry(
 
 Action = Behavior | Reaction
 Port = SensorPort[Any] | ActuatorPort[Any]
-
-
-_METHODS = {
-    name: method
-    for name, method in vars(BlockingCalls).items()
-    if isinstance(method, types.FunctionType)
-}
-"""What a plain behavior calls in its thread, and others await."""
 
 
 class Grants:
@@ -365,34 +352,16 @@ def fill(
     portal: Portal | None,
 ) -> None:
     """Give a behavior what it declares; with a portal all of it waits, in its thread."""
-    behavior._host, behavior._mail = host, host.mail  # noqa: SLF001 - its own supervisor's
-    if portal is not None and not isinstance(behavior, ThreadBehavior):
-        for name, method in _METHODS.items():
-            behavior.__dict__[name] = types.MethodType(method, behavior)
-    for attribute, need in behavior.needs.items():
-        port: Any = grants.declare(attribute, need)
-        behavior.__dict__[attribute] = blocking(port, portal) if portal else port
-    declared = behavior.takes if host.mail.queues else {}
-    for attribute, each in declared.items():
-        if isinstance(each, Takes) and each.method is None:
-            queue = host.mail.queues[each.type]
-            behavior.__dict__[attribute] = (
-                BlockingRequestPort(queue.loop, portal)
-                if portal
-                else RequestPort(queue.loop)
-            )
+    queues = host.mail.queues
 
+    def port_of(attribute: str, need: Need) -> Any:
+        port = grants.declare(attribute, need)
+        return blocking(port, portal) if portal else port
 
-def empty(
-    behavior: Behavior | Reaction, host: Member | BehaviorStep, portal: Portal | None
-) -> None:
-    """Take a behavior its supervisor, if it has not another one by now."""
-    if isinstance(behavior, Reaction) or vars(behavior).get("_host") is not host:
-        return
-    del behavior._host, behavior._mail  # noqa: SLF001 - as above
-    if portal is not None:
-        for method in _METHODS:
-            behavior.__dict__.pop(method, None)
+    give(
+        *(behavior, host, host.mail, portal, port_of),
+        (lambda _, each: queues[each.type].loop) if queues else None,
+    )
 
 
 class Steps:
@@ -413,20 +382,15 @@ class Steps:
         until: Callable[..., bool] | None,
         timeout: float | None,
         blind_timeout: float | None,
+        seat: Seat | StepSeat | None,
     ) -> bool:
         """Run a reaction until its condition comes true or its time is over."""
-        for field, seconds in (("timeout", timeout), ("blind_timeout", blind_timeout)):
-            if seconds is not None:
-                check_duration(self._name, field, seconds)
-        if not isinstance(reaction, Reaction):
-            told = f"expected a Reaction or a Behavior, not {reaction!r:.80}"
-            raise ConfigError(self._name, "perform", told)
         found = examine_step(self._crew.resources.plan, reaction, performer=self._name)
         refuse(found, f"what {self._name} performs is described wrongly")
         resources = self._crew.resources
         table = resources.actuators.protections
         sight = Sight(table, reaction, reaction.name, step_of=self._name)
-        step = Step(reaction, sight, blind_timeout, until, resources.began, owner)
+        step = Step(reaction, sight, blind_timeout, until, resources.began, owner, seat)
         self.now = (*self.now, step)
         sight.accept()
         timer = None
@@ -449,8 +413,6 @@ class Steps:
         self, behavior: Behavior, member: Member, timeout: float | None
     ) -> Any:
         """Run a behavior to its end, in the task of its performer."""
-        if timeout is not None:
-            check_duration(self._name, "timeout", timeout)
         plan = self._crew.resources.plan
         found = examine_step(plan, behavior, performer=self._name)
         refuse(found, f"what {self._name} performs is described wrongly")
@@ -498,42 +460,19 @@ class BehaviorStep:
         self._sight.accept()
         try:
             fill(behavior, self, self.grants, self.portal)
-            try:
-                async with asyncio.timeout(timeout) as limit:
-                    await self._call(behavior.setup)
-                    self._sight.sees()
-                    return await self._call(behavior.run)
-            except TimeoutError:
-                if timeout is None or not limit.expired():
-                    raise
-                told = "come to its end"
-                state = f"a step of {member.name}"
-                raise BehaviorUnavailableError(
-                    behavior.name, told, timeout, state
-                ) from None
-            finally:
-                await self._call(behavior.teardown)
+            way, owner, sees = self.portal, self.mail.owner, self._sight.sees
+            return await run_as_step(behavior, member.name, way, owner, timeout, sees)
         finally:
             for registration in tuple(self.own):
                 control.revoke(registration)
             self._sight.leave()
-            empty(behavior, self, self.portal)
+            take_back(behavior, self, self.portal)
             if self.portal is not None:
                 self.portal.close()
 
     def revive(self, resource: str) -> None:
         """Give its ports their rights to a resource again that has come back."""
         self.grants.revive(self.behavior.needs, resource)
-
-    async def _call(self, method: Callable[[], Any]) -> Any:
-        if inspect.iscoroutinefunction(method):
-            return await method()
-        found: list[Any] = [None]
-        way = self.portal
-        if way is None or way.closed:
-            way = Portal(self._member.name, self.mail.owner)
-        await way.run(lambda: found.append(method()))
-        return found[-1]
 
 
 class Step:
@@ -549,6 +488,7 @@ class Step:
         until: Callable[..., bool] | None,
         began: float,
         owner: Owner,
+        seat: Seat | StepSeat | None,
     ) -> None:
         self.sight = sight
         hooks = Hooks(
@@ -558,7 +498,7 @@ class Step:
             end=lambda: self.end(True),
             until=until,
         )
-        self.runner = runner_for(reaction, sight, hooks, began, owner)
+        self.runner = runner_for(reaction, sight, hooks, began, owner, seat)
         self._loop = loop = asyncio.get_running_loop()
         self._blind_timeout = blind_timeout
         self._blind_timer: asyncio.TimerHandle | None = None
@@ -622,7 +562,7 @@ def runner_for(
     hooks: Hooks,
     began: float,
     owner: Owner,
-    seat: Seat | None = None,
+    seat: Seat | StepSeat | None = None,
 ) -> ReactionRunner:
     """Make what runs a reaction: one that moves something, here or there, or a guard."""
     if seat is not None:

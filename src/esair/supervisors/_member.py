@@ -19,6 +19,7 @@ from esair.actions import (
     ReactionRunner,
     SensorPort,
     blocking,
+    take_back,
 )
 from esair.connections import UNDECIDED, Halting, Registration, Stopped, run_ended
 from esair.exceptions import (
@@ -45,7 +46,6 @@ from esair.supervisors._grants import (
     Step,
     Steps,
     bind,
-    empty,
     fill,
     runner_for,
 )
@@ -63,7 +63,7 @@ from esair.supervisors._mailbox import Mailbox
 from esair.values import check_duration
 
 if TYPE_CHECKING:
-    from esair.placement import Seat
+    from esair.placement import Seat, StepSeat
     from esair.supervisors._behavior_deployment import BehaviorDeployment
 
 _UNBOUND = frozenset({BehaviorState.RESTARTING, BehaviorState.RESTING})
@@ -171,11 +171,12 @@ class Member:
         until: Callable[..., bool] | None,
         timeout: float | None,
         blind_timeout: float | None,
+        seat: StepSeat | None = None,
     ) -> bool:
         """Run a reaction until its condition comes true or its time is over."""
         with self._performing():
             return await self.steps.perform(
-                reaction, self.mail.owner, until, timeout, blind_timeout
+                *(reaction, self.mail.owner, until, timeout, blind_timeout), seat
             )
 
     async def perform_behavior(self, behavior: Behavior, timeout: float | None) -> Any:
@@ -458,7 +459,7 @@ class Member:
         self.mail.carriers = ()
         if self.seat is not None:
             self.seat.rise()
-        empty(self.action, self, self._portal)
+        take_back(self.action, self, self._portal)
         self.mail.become(BehaviorState.REMOVED)
 
     def end_run(self, grace: float) -> Awaitable[None]:

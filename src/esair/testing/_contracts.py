@@ -7,7 +7,8 @@ Subclass a suite in a test module, and say how the device is made::
             return Sonar(bus=FakeSerial(...))
 
 The tests run on the virtual clock; mark the class ``real_clock`` for a device that
-is real.
+is real, and ``placements`` for a sensor that may live in a process of its own: each test
+runs once in the robot's process, and once there.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from esair.exceptions import (
     DriverStuckError,
     StaleReadingError,
 )
-from esair.messages import Access, Policy, ResourceState
+from esair.messages import Access, Policy, ResourceState, is_placed
 from esair.plan import Plan, errors_in, examine_resource
 from esair.resources import Actuator, Resource, Sensor, settings_of
 from esair.standard import Robot
@@ -58,6 +59,12 @@ class ResourceContract(abc.ABC):
 
     keeps_nothing: ClassVar[str] = ""
     """Why a restart of the part takes nothing away, if the driver has no `is_set_up`."""
+
+    @pytest.fixture(autouse=True)
+    def _placed(self, request: pytest.FixtureRequest) -> None:
+        if "place" in request.fixturenames:
+            place, make = request.getfixturevalue("place"), self.make
+            self.make = lambda: place(make())  # type: ignore[method-assign]
 
     @abc.abstractmethod
     def make(self) -> Resource:
@@ -371,12 +378,22 @@ class _Session:
     def __init__(self, device: Resource) -> None:
         self.device = device
         self.driver = Driver(device)
+        self.seats: Any = None
+        if is_placed(device):
+            from esair.placement import Seats
+
+            self.seats = Seats(lambda: [device], 0, lambda _: None)
 
     async def __aenter__(self) -> _Session:
+        if self.seats is not None:
+            await self.seats.ready()
+            self.seats.seat(self.device).sit()
         return self
 
     async def __aexit__(self, *_: object) -> None:
         await self.close()
+        if self.seats is not None:
+            self.seats.close()
         assert await self.driver.end_executors(timeout=1.0), "a driver call is stuck"
         if self.device.bus is not None:
             await self.device.bus.close()

@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import pytest
 
 from esair.buses import MEDIA, Medium
 from esair.testing._fakes import FakeActuator, FakeSensor
+
+C = TypeVar("C")
 
 FIXTURES = frozenset(
     {"fake_sensor", "fake_actuator", *(f"fake_{kind}" for kind in MEDIA)}
@@ -42,6 +44,7 @@ def pytest_configure(config: pytest.Config) -> None:
     for line in (
         "virtual_clock(seed=N): run on a virtual clock, with this order of tasks",
         "real_clock: run in real time, with real threads and descriptors",
+        "placements: run once for each kind of placement; see the fixture place",
     ):
         config.addinivalue_line("markers", line)
 
@@ -64,6 +67,14 @@ def on_virtual_clock(item: pytest.Item) -> bool:
     return uses_kit(item) and item.get_closest_marker("real_clock") is None
 
 
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run a test once for each kind of placement that it is marked with."""
+    if metafunc.definition.get_closest_marker("placements") is not None:
+        if "place" not in metafunc.fixturenames:
+            metafunc.fixturenames.append("place")  # its suite asks for it
+        metafunc.parametrize("place", ["task", "process"], indirect=True)
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Fail a test that would not run on the clock which it is promised."""
@@ -77,6 +88,27 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
             " asyncio), and take the marker anyio away; or mark it real_clock",
             pytrace=False,
         )
+
+
+@pytest.fixture
+def place(request: pytest.FixtureRequest) -> Callable[[C], C]:
+    """Hand out what puts a component where this run of the test has it.
+
+    In a test that is marked ``placements``: in the robot's process, then in one of its
+    own. What the rulebook refuses to place is a reason to skip the second run.
+    """
+    from esair.actions import adapt_action
+    from esair.plan import unplaceable
+    from esair.resources import adapt_resource
+
+    def put(component: C) -> C:
+        if getattr(request, "param", "task") == "process":
+            component.placement = "process"  # type: ignore[attr-defined]
+            for finding in unplaceable(adapt_action(adapt_resource(component))):
+                pytest.skip(f"the rulebook refuses it: {finding.text}")
+        return component
+
+    return put
 
 
 @pytest.fixture
