@@ -277,6 +277,8 @@ def by_hand(make: Maker) -> Iterator[tuple[str, bytes]]:
         "no object": b"7",
         "nothing": b"",
         "bytes": b"\xff\xfe",
+        "utf-16": "{}".encode("utf-16-be"),
+        "utf-32": "{}".encode("utf-32-le"),
         "other": b'{"esair": [1]}',
     }.items():
         yield f"event {name}", make.file(message(1, data), event(2))

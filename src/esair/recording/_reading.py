@@ -120,7 +120,7 @@ def _not_ours(path: Path) -> RecordingBrokenError:
 def _event(data: bytes) -> Recorded | None:
     """Return the event of a message; None if it is none that a recorder writes."""
     try:
-        message = json.loads(data)
+        message = json.loads(data.decode())  # of bytes it would guess their encoding
         told = message.get("esair", message)
         found = Recorded(*map(told.get, Recorded._fields))
         texts = found[2:5] + found[6:]

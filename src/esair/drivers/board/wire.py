@@ -162,7 +162,7 @@ class Wire:
     def _said(self, payload: bytes) -> list[Beat | Heard]:
         kind = payload[:1]
         if kind == b"B":  # of version 1, or for a computer that speaks only that
-            self.version = int(json.loads(payload[2:])[0])
+            self.version = int(json.loads(payload[2:].decode())[0])
             return [Beat(self.version, None)] * (self.version not in SPOKEN)
         if kind == b"b":
             beat = self._beat(payload)
