@@ -457,6 +457,7 @@ class SupervisorMachine(RuleBasedStateMachine):
     @rule(seconds=st.sampled_from([0.01, 0.1, 0.3, 1.0, 6.0]))
     def wait(self, seconds: float) -> None:
         self.run(asyncio.sleep(seconds))
+        self.settle()  # who has an outcome since this very moment goes on
         wheels = self.resources.get("wheels")
         if wheels is not None and seconds >= 6.0 and self.works(wheels):
             assert wheels.commands[-1] == SAFE, "nobody writes, and it is not safe"
