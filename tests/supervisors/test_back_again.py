@@ -162,3 +162,39 @@ async def test_another_type_between_two_that_fit(fake_sensor: Any, way: str) -> 
         assert await drive.sonar.read() == 2.0  # type: ignore[attr-defined]
         assert set(follow.met) == {1.0, 2.0}
         assert robot.behaviors.query("follow").restarts == 0
+
+
+class Note(esair.Reaction):
+    """Keeps what it decides on."""
+
+    sonar = esair.reads(float)
+    wheels = esair.writes(float)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.met: list[Any] = []
+
+    def react(self, sonar: float) -> None:
+        self.met.append(sonar)
+
+
+@pytest.mark.promise("RS-5")
+@pytest.mark.parametrize("kind", [Follow, Note])
+async def test_the_users_restart_gives_nobody_another_type(
+    kind: Any, fake_sensor: Any, fake_actuator: Any
+) -> None:
+    """It is parked with it, as who begins anew by itself is, until one comes that fits."""
+    it = kind()
+    resources = [fake_sensor("sonar", 1.0, type=float), fake_actuator("wheels", 0.0)]
+    async with esair.Robot(resources=resources, behaviors=[it]) as robot:
+        await robot.resources.remove("sonar")
+        await robot.resources.add(fake_sensor("sonar", "one", type=str))
+        await robot.behaviors.restart(it.name)
+        await asyncio.sleep(0.5)
+        status = robot.behaviors.query(it.name)
+        assert status.state is esair.BehaviorState.PARKED
+        assert status.detail == "it reads float, but 'sonar' gives str"
+        await robot.resources.replace("sonar", fake_sensor("sonar", 2.0, type=float))
+        await asyncio.sleep(0.5)
+        assert robot.behaviors.query(it.name).state is esair.BehaviorState.RUNNING
+        assert set(it.met) == {1.0, 2.0}

@@ -222,6 +222,9 @@ class Member:
 
     def start(self) -> None:
         self.mail.become(BehaviorState.STARTING)
+        if self.mail.owner.over and (misfit := self.misfit()):
+            self._runs(False, misfit)  # another device has come in the place of one
+            return
         if isinstance(self.action, Reaction):
             self.sight.blind(UNDECIDED)
             sees = self.sight.sees
@@ -231,9 +234,6 @@ class Member:
                 self.action, self.sight, hooks, began, owner, self.seat
             )
             self._start_runner(self.runner, self.action)
-            return
-        if self.task is not None and (misfit := self.misfit()):
-            self._runs(False, misfit)  # another device has come in the place of one
             return
         if self.mail.owner.over:
             self._take_owner()
