@@ -555,6 +555,34 @@ async def test_a_device_refuses_what_it_cannot_take_before_it_leaves() -> None:
         assert robot.resources.query("even").faults == 0
 
 
+@attrs.frozen
+class Lift:
+    """Drives or lifts; only one of them has a speed."""
+
+    height: float
+    speed: float | None = None
+
+
+@pytest.mark.promise("AC-1")
+def test_a_device_that_checks_itself_may_be_told_less_than_it_limits() -> None:
+    """What a command does not have is in no limits; its own check knows of that."""
+    shown: list[Lift] = []
+
+    class Own(FakeActuator[Lift]):
+        def check(self, command: Lift) -> None:
+            shown.append(command)
+
+    options: dict[str, Any] = {"limits": {"speed": (0.0, 1.0), "height": (0.0, 2.0)}}
+    own = CommandCheck(Own("lift", safe=Lift(0.0), **options))
+    assert own.checked(Lift(1.0)) == Lift(1.0)
+    assert shown == [Lift(1.0)]
+    for bad in (Lift(3.0), Lift(1.0, 2.0)):
+        with pytest.raises(esair.BadValueError, match="expected 0 to"):
+            own.checked(bad)
+    with pytest.raises(esair.BadValueError):
+        CommandCheck(FakeActuator("lift", safe=Lift(0.0), **options)).checked(Lift(1.0))
+
+
 def test_a_safe_command_that_the_device_refuses_is_a_mistake() -> None:
     """It is told before the robot starts."""
     even = Even()

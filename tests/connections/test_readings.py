@@ -83,6 +83,40 @@ async def test_a_whole_number_that_no_float_holds_is_bad(user_of: Any) -> None:
 
 
 @pytest.mark.promise("SC-3")
+@pytest.mark.parametrize(
+    ("kind", "good", "bad"),
+    [(str, "near", 1), (bool, True, 1), (int, 7, True), (float, 7, True)],
+)
+async def test_a_reading_of_another_type_is_bad(
+    kind: Any, good: Any, bad: Any, user_of: Any
+) -> None:
+    """A whole number is a float; what is true or false is neither."""
+    sonar = FakeSensor("sonar", good, type=kind)
+    user = user_of("u", sonar=esair.reads(kind))
+    async with esair.Robot(resources=[sonar], behaviors=[user]):
+        assert await user.sonar.read() == good
+        sonar.feed(bad)
+        with pytest.raises(esair.DeviceFaultError, match=f"expected {kind.__name__}"):
+            await user.sonar.read(fresh=True)
+
+
+@pytest.mark.promise("SC-3")
+async def test_infinity_is_bad_within_limits_that_have_one_end(user_of: Any) -> None:
+    """That there is no greatest value does not make infinity one."""
+    sonar, user = (
+        FakeSensor("sonar", 1e300, type=float),
+        user_of("u", sonar=esair.reads(float)),
+    )
+    sonar.limits = (0.0, math.inf)
+    async with esair.Robot(resources=[sonar], behaviors=[user]):
+        assert await user.sonar.read() == 1e300
+        for bad in (math.inf, -1.0):
+            sonar.feed(bad)
+            with pytest.raises(esair.DeviceFaultError):
+                await user.sonar.read(fresh=True)
+
+
+@pytest.mark.promise("SC-3")
 async def test_each_number_of_a_structure_is_looked_at(user_of: Any) -> None:
     """Its fields, not what lies deeper: a scan may have seen nothing somewhere."""
     gps = FakeSensor("gps", Fix(0.0, 0.0), type=Fix)

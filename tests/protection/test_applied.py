@@ -68,6 +68,29 @@ async def test_it_is_what_the_device_has_taken(seconds: float) -> None:
         assert wheels.commands == [0.0, 0.5, 1.0, 0.0]
 
 
+@pytest.mark.parametrize("seconds", [0.0, 0.01])
+async def test_it_is_what_a_guard_has_left_of_what_stands(seconds: float) -> None:
+    """Nobody wrote that: the guard's new reading has made it less."""
+
+    class Cap(esair.Reaction):
+        cap = esair.reads(float)
+        wheels = esair.guards(float)
+
+        def react(self, cap: float, wheels: float) -> float:
+            return min(wheels, cap)
+
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0, command_timeout=9.0)
+    wheels.slow(seconds)
+    cap = FakeSensor("cap", 9.0, type=float)
+    look = Look()
+    async with esair.Robot(resources=[wheels, cap], behaviors=[look, Drive(), Cap()]):
+        await asyncio.sleep(0.25)
+        cap.feed(2.0)
+        await asyncio.sleep(0.05)
+        assert wheels.commands == [0.0, 1.0, 4.0, 2.0]
+        assert look.seen == [1.0, 4.0, 2.0]
+
+
 async def test_it_is_what_the_driver_says_that_it_has_applied() -> None:
     """Which may be another value than it was told."""
 

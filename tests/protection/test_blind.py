@@ -245,6 +245,34 @@ async def test_replace_leaves_no_gap(protector: Any) -> None:
         assert len(robot.actuators.protections.of("wheels")) == 1
 
 
+@pytest.mark.promise("PRO-2")
+@pytest.mark.parametrize("protector", [ObstacleStop, ObstacleGuard])
+async def test_who_has_failed_keeps_an_actuator_that_comes_again(
+    protector: Any,
+) -> None:
+    """Its entry is older than the device: the new one obeys it before anybody writes."""
+
+    class Failing(protector):  # type: ignore[misc]
+        bug = True
+        restart = esair.Restart(max=0)
+
+    sonar, wheels, drive = ranges(), Wheels(), Drive()
+    async with esair.Robot(
+        resources=[sonar, wheels], behaviors=[drive, Failing(name="failing")]
+    ) as robot:
+        await asyncio.sleep(0.3)
+        assert robot.behaviors.query("failing").state is BehaviorState.FAILED
+        await robot.resources.remove("wheels")
+        drive.answers.clear()
+        again = Wheels()
+        await robot.resources.add(again)
+        await asyncio.sleep(1.0)
+        assert {each.rule for each in drive.answers} == {
+            "failing is blind: it failed: RuntimeError: a bug"
+        }
+        assert set(again.commands) == {0.0}
+
+
 @pytest.mark.promise("PRO-3")
 async def test_a_performed_reaction_holds_while_it_is_performed() -> None:
     """At its own port's priority; the query says what is blind; then it is over."""
@@ -650,3 +678,64 @@ async def test_replacing_who_moves_does_not_stop_it(rate: float | None) -> None:
         assert wheels.commands[-1] == 0.7
         await asyncio.sleep(0.31)
         assert set(wheels.commands[1:]) == {0.5, 0.7}
+
+
+@pytest.mark.promise("PRO-1")
+@pytest.mark.parametrize(("priority", "moves_until"), [(10, 0.5), (11, 1.0)])
+async def test_only_who_is_above_a_blind_one_moves_until_its_hold_is_over(
+    priority: int, moves_until: float
+) -> None:
+    """Of the same priority it is stopped when the other one does not see any more."""
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0, command_timeout=9.0)
+
+    class Long(esair.Behavior):
+        wheels = esair.writes(float, priority=priority, hold=1.0)
+
+        async def run(self) -> None:
+            await self.wheels.write(1.0)
+            await asyncio.sleep(9.0)
+
+    class Careful(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float, priority=10)
+
+        def react(self, sonar: float) -> None:
+            return None
+
+    sonar = ranges()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Long(), Careful()]):
+        await wheels.until(1.0)
+        began = wheels.landed[-1]
+        await asyncio.sleep(0.5)
+        sonar.unplug()
+        await wheels.until(0.0)
+        assert wheels.landed[-1] - began == pytest.approx(moves_until, abs=0.01)
+
+
+@pytest.mark.promise("PRO-1", "RS-5")
+async def test_who_is_parked_because_another_device_has_come_is_blind() -> None:
+    """It does not run, so what it keeps safe stays so; `why` says what does not fit."""
+
+    class Watch(esair.Behavior):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float, priority=5, blind="safe")
+
+        async def run(self) -> None:
+            async for _ in self.sonar:
+                pass
+
+    drive, wheels = Drive(), Wheels()
+    async with esair.Robot(
+        resources=[ranges(), wheels], behaviors=[drive, Watch()]
+    ) as robot:
+        await wheels.until(SPEED)
+        await robot.resources.remove("sonar")
+        await robot.resources.add(FakeSensor("sonar", "near", type=str))
+        await asyncio.sleep(0.1)
+        drive.answers.clear()
+        await asyncio.sleep(0.5)
+        assert robot.behaviors.query("watch").state is BehaviorState.PARKED
+        detail = robot.behaviors.query("watch").detail
+        assert "sonar" in detail
+        assert {each.rule for each in drive.answers} == {f"watch is blind: {detail}"}
+        assert wheels.commands[-1] == 0.0

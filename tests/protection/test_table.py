@@ -228,6 +228,26 @@ async def test_what_a_guard_gives_is_weighed() -> None:
     assert "crashed" in entry.reason
 
 
+async def test_who_has_crashed_is_asked_no_more() -> None:
+    """Though it sees again: it decides when it was given a judge for its next run."""
+
+    def judge(command: float) -> float:
+        asked.append(command)
+        return command
+
+    asked: list[float] = []
+    crashes: list[BaseException] = []
+    entry = guard(fallback=lambda command: command / 0)
+    entry.judge, entry.on_crash = judge, crashes.append
+    assert weigh(entry, 0.5) is None
+    entry.reason = ""
+    assert weigh(entry, 0.5) is None
+    assert asked == []
+    await asyncio.sleep(0)
+    assert [type(each) for each in crashes] == [ZeroDivisionError]
+    assert weigh(deciding(entry, judge), 0.5) == 0.5
+
+
 async def test_what_nobody_can_compare_passes_as_it_was_handed() -> None:
     """Of what has parts a guard may not change one behind the command's back."""
 

@@ -560,3 +560,43 @@ def test_a_halt_while_it_is_told_to_stay_sends_safe(
     factory = TurnLoop if shipped else VirtualLoop
     with asyncio.Runner(loop_factory=factory) as runner:
         runner.run(main())
+
+
+@pytest.mark.promise("ROB-4", "BEH-3")
+async def test_what_a_performed_reaction_kept_for_a_busy_driver_is_dropped(
+    fake_actuator: Any, fake_sensor: Any
+) -> None:
+    """As that of any reaction: nothing that was decided before the halt moves after it."""
+
+    class Copy(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float)
+
+        def react(self, sonar: float) -> float | None:
+            return sonar or None
+
+    class Captain(esair.Behavior):
+        wheels = esair.writes(float)
+
+        async def run(self) -> None:
+            await self.perform(Copy())
+
+    wheels, sonar = fake_actuator("wheels", safe=0.0), fake_sensor("sonar", 1.0)
+    async with esair.Robot(
+        resources=[wheels, sonar],
+        behaviors=[Captain()],
+        policies=[esair.Policy("wheels", allow={"captain": esair.Access.WRITE})],
+    ) as robot:
+        await wheels.until(1.0)
+        wheels.slow(0.1)
+        sonar.feed(2.0)
+        await asyncio.sleep(0.01)
+        sonar.feed(3.0)  # which waits until the driver is done
+        await asyncio.sleep(0.01)
+        sonar.feed(0.0)  # it wants nothing any more
+        halted = robot.halt("enough")
+        robot.resume()
+        await halted
+        await asyncio.sleep(1.0)
+        assert 3.0 not in wheels.commands
+        assert wheels.commands[-1] == 0.0

@@ -88,6 +88,38 @@ async def test_its_return_value_is_the_outcome() -> None:
     assert commands[-1] == 0.0
 
 
+async def test_one_that_says_so_is_blind_until_it_runs() -> None:
+    """Its hold is in force while it is set up; then lower priorities write again."""
+    passed: dict[int, set[bool]] = {}
+
+    class Watch(esair.Behavior):
+        wheels = esair.writes(float, priority=5, blind="safe")
+
+        async def setup(self) -> None:
+            await asyncio.sleep(1.0)
+
+        async def run(self) -> None:
+            await asyncio.sleep(1.0)
+
+    class Drive(esair.Behavior):
+        wheels = esair.writes(float)
+
+        async def run(self) -> None:
+            await asyncio.sleep(0.05)
+            async for _ in esair.every(0.1):
+                second = int(esair.now() - began)
+                passed.setdefault(second, set()).add(bool(await self.wheels.write(1.0)))
+
+    async def act(self: Captain) -> None:
+        await asyncio.sleep(1.0)
+        await self.perform(Watch())
+
+    began = esair.now()
+    policy = esair.Policy("wheels", allow={"*": esair.Access.WRITE})
+    await told(act, 3.9, behaviors=[Drive()], policies=[policy])
+    assert passed == {0: {True}, 1: {False}, 2: {True}, 3: {True}}
+
+
 async def test_its_error_is_the_performers() -> None:
     """Who handles it goes on; the wheels were made safe."""
 

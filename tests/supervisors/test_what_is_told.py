@@ -581,3 +581,81 @@ async def test_who_is_refused_at_once_gives_way_too(verb: str) -> None:
             with pytest.raises(esair.UnknownNameError):
                 await request
         assert other.done()
+
+
+@pytest.mark.promise("SUP-4", "PRO-1")
+async def test_the_journal_has_the_crash_and_what_its_behavior_waits_for() -> None:
+    """What is not there is not its own fault; who is kept away by it hears the same."""
+
+    class Watch(esair.Behavior):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float, priority=5, blind="safe")
+
+        async def run(self) -> None:
+            async for _ in esair.every(0.05):
+                await self.sonar.read()
+
+    events: list[Event] = []
+    sonar, wheels = FakeSensor("sonar", 1.0), FakeActuator("wheels", safe=0.0)
+    user = esair.Behavior(name="user", writes={"wheels": esair.writes(float)})
+    robot = esair.Robot(resources=[sonar, wheels], behaviors=[Watch(), user])
+    robot.journal.listen(events.append, kinds=[Kind.CRASHED, Kind.PARKED])
+    async with robot:
+        assert await user.wheels.write(1.0)
+        sonar.unplug()
+        await asyncio.sleep(0.1)
+        refused = await user.wheels.write(1.0)
+        assert refused.rule == "watch is blind: sonar is not there"
+        assert robot.behaviors.query("watch").restarts == 0
+    assert [each.kind for each in events] == [Kind.CRASHED, Kind.PARKED]
+    assert "'sonar' is lost" in events[0].text
+    assert events[1].text == "sonar is not there"
+
+
+@pytest.mark.promise("MODE-3")
+async def test_a_query_tells_in_which_mode_one_that_rests_runs() -> None:
+    """Not what it did before."""
+    robot = esair.Robot(
+        behaviors=[Idle(name="a"), Idle(name="b")],
+        modes={"one": esair.Mode(["a"]), "two": esair.Mode(["b"])},
+        mode="one",
+    )
+    async with robot:
+        await robot.behaviors.switch("two")
+        assert "one" in robot.behaviors.query("a").detail
+        assert robot.behaviors.query("b").detail == ""
+
+
+@pytest.mark.promise("BEH-3")
+async def test_who_has_performed_is_forgotten_as_such() -> None:
+    """Whether its last step ended well or not; who performs still is known."""
+
+    class Short(esair.Behavior):
+        async def run(self) -> None:
+            await asyncio.sleep(1.0)
+            raise RuntimeError("told to")
+
+    captain = Idle(name="captain")
+    async with esair.Robot(behaviors=[captain]) as robot:
+        performed = asyncio.create_task(captain.perform(Short()))
+        await asyncio.sleep(0.5)
+        assert [each.name for each in robot._behaviors.performing] == ["captain"]
+        with pytest.raises(RuntimeError):
+            await performed
+        assert not robot._behaviors.performing
+
+
+@pytest.mark.promise("ROB-2")
+async def test_the_resources_know_whether_the_stop_has_made_all_safe() -> None:
+    """Safe wheels of a robot that runs are not that; who ends a stuck loop asks."""
+    asked: list[bool] = []
+
+    class Last(FakeActuator[float]):
+        async def close(self) -> None:
+            asked.append(robot._resources.is_made_safe())
+
+    robot = esair.Robot(resources=[Last("wheels", safe=0.0)])
+    async with robot:
+        assert robot._resources.actuators.channels["wheels"].is_safe
+        assert not robot._resources.is_made_safe()
+    assert asked == [True]
