@@ -92,6 +92,20 @@ class Lamp(esair.Behavior):
                     request.answer((0, 1, 1, 2))
 
 
+class Beating(esair.Behavior):
+    """Works fifty times a second, and keeps how late it was."""
+
+    late: list[float]
+
+    async def run(self) -> None:
+        self.late = []
+        loop = asyncio.get_running_loop()
+        due = loop.time()
+        async for _ in esair.every(0.02):
+            self.late.append(loop.time() - due)
+            due = loop.time() + 0.02
+
+
 def drive(topic: str, actuator: str = "wheels", priority: int = 5) -> tuple[Any, ...]:
     """A topic that drives an actuator: its link, its sensor and its behavior."""
     name = topic.strip("/").replace("/", "_")

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.ros.parts import Citizen, Count, Done, Light, Motion, twist
+from tests.ros.parts import Beating, Citizen, Count, Done, Light, Motion, twist
 
 import esair
 from esair.buses import ros
@@ -331,6 +331,29 @@ async def test_its_process_is_killed(times: int) -> None:
         judge.do("names")
         names = (await judge.until("names"))[1]
         assert names.count("rover") >= 1
+
+
+@pytest.mark.promise("ROS-2", "STD-1")
+async def test_a_topic_at_a_thousand_hertz_slows_nothing() -> None:
+    """A reading comes as often as it is wanted; the robot's own work is on time."""
+    made, beating = citizen(), Beating()
+    async with judging() as judge, made.robot(beating) as robot:
+        await there(robot)
+        for topic, kind, fields in (
+            ("/range", "std_msgs/msg/Float32", {"data": 1.0}),
+            ("/cmd_vel", "geometry_msgs/msg/Twist", twist(0.3)),
+        ):
+            judge.do("publish", topic, kind, fields, 1000.0)
+        await made.wheels.until(Motion(0.3, 0.0), timeout=10.0)
+        before, told = made.bus.stats.received, len(made.wheels.commands)
+        beating.late.clear()
+        await asyncio.sleep(3.0)
+        late = sorted(beating.late)
+        rate = (made.bus.stats.received - before) / 3.0
+        assert 40.0 < rate < 600.0  # of two topics, 200 Hz each is wanted, and beats
+        assert len(late) >= 140, (len(late), rate)
+        assert late[len(late) * 95 // 100] < 0.01, (late[-10:], rate)
+        assert len(made.wheels.commands) - told >= 30
 
 
 @pytest.mark.promise("ROS-3")

@@ -29,6 +29,7 @@ LOOK = 20  # beats after which it looks for other types, and tells what it wants
 UNKNOWN = "_NODE_NAME_UNKNOWN_"  # as DDS calls a node of which it has not heard yet
 WAITING = 64  # readings that may wait to be sent; what comes then is dropped
 MOST = 1024  # of anything; a robot that does not listen is no robot, and it ends
+ASKED = 64  # requests of ROS that may be under way; what is asked then is refused
 
 
 def pack(frame: Any) -> bytes:
@@ -50,6 +51,35 @@ def _unblob(value: Any) -> Any:
     return base64.b64decode(value["#"]) if "#" in value else value
 
 
+def has_room(what: str, waiting: int) -> bool:
+    """Tell whether something may wait to be sent, behind so much."""
+    return waiting < (WAITING if what in {"reading", "beat"} else MOST)
+
+
+class Outbox:
+    """What waits to be sent to the robot, which a thread of its own does."""
+
+    def __init__(self, write: Any, end: Any) -> None:
+        self.write = write
+        self.end = end
+        self.waiting: queue.Queue[bytes] = queue.Queue()
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def send(self, frame: Any) -> bool:
+        """Let a frame wait; tells whether there was room."""
+        waiting = self.waiting.qsize()
+        room = has_room(frame[0], waiting)
+        if room:
+            self.waiting.put(pack(frame))
+        elif waiting >= MOST:
+            self.end("the robot does not listen: too much waits for it")
+        return room
+
+    def _run(self) -> None:
+        while True:
+            self.write(self.waiting.get())
+
+
 class Bridge:
     """What is said between the robot and a graph, with beats."""
 
@@ -61,6 +91,7 @@ class Bridge:
         self.beats = self.its_run = self.its_beat = 0
         self.heard_at = self.ticked = clock()
         self.gap = 0.0
+        self.dropped = 0
         self.followed: dict[str, float] = {}
         self.due: dict[str, float] = {}
         self.served: dict[int, tuple[Any, Any]] = {}
@@ -75,7 +106,7 @@ class Bridge:
         """Tell the robot something."""
         held = self.clock() - self.heard_at if self.its_run else 0.0
         head = (self.run, self.beats, self.its_run, self.its_beat, held)
-        self.send([what, *head, *parts])
+        self.dropped += not self.send([what, *head, *parts])
 
     def tick(self) -> None:
         """Beat."""
@@ -86,6 +117,9 @@ class Bridge:
         self.say("beat")
         if self.beats % LOOK == 1:
             self.say("follow", self.feeds)
+            if self.dropped:
+                told, self.dropped = self.dropped, 0
+                self.say("dropped", told)
             for name, ours, other, who in self.graph.strangers():
                 self.say("warn", name, ours, other, who)
 
@@ -131,6 +165,10 @@ class Bridge:
     def asked(self, name: str, message: Any, end: Any, progress: Any) -> int:
         """Ask the robot; how it ends is told with end(how, value)."""
         number = next(self.numbers)
+        if len(self.served) >= ASKED:
+            self.dropped += 1
+            end("declined", "too much of ROS waits for the robot")
+            return number
         self.served[number] = end, progress
         self.say("ask", number, name, message)
         return number
@@ -457,20 +495,10 @@ def main() -> None:
         return unpack(stream.read(struct.unpack(">I", size)[0]))
 
     setup = take()
-    waiting: queue.Queue[bytes] = queue.Queue()
 
-    def send(frame: list[Any]) -> None:
-        if waiting.qsize() >= MOST:
-            os.write(2, b"the robot does not listen: too much waits for it\n")
-            os._exit(1)  # a lost peer, that begins anew
-        if frame[0] not in {"reading", "beat"} or waiting.qsize() < WAITING:
-            waiting.put(pack(frame))
-
-    def write() -> None:
-        while True:
-            robot.sendall(waiting.get())
-
-    threading.Thread(target=write, daemon=True).start()
+    def end(why: str) -> None:
+        os.write(2, why.encode() + b"\n")
+        os._exit(1)  # a lost peer, that begins anew
 
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
@@ -485,7 +513,7 @@ def main() -> None:
         robot.sendall(pack(["found", graph_of(node)]))
         os._exit(0)
     executor = SingleThreadedExecutor()
-    bridge = Bridge(send)
+    bridge = Bridge(Outbox(robot.sendall, end).send)
     bridge.begin(Graph(bridge, node, setup["links"]), setup["feeds"])
     executor.add_node(node)
 

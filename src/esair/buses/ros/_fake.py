@@ -9,7 +9,7 @@ from typing import Any
 import attrs
 
 from esair.buses.peer import PeerBus
-from esair.buses.ros._child import BEAT, Bridge
+from esair.buses.ros._child import BEAT, Bridge, has_room
 from esair.loop import spawn
 
 
@@ -47,7 +47,14 @@ class FakeRos:
         self._stalled = False
         frames: asyncio.Queue[list[Any] | None] = asyncio.Queue()
         self._frames = frames
-        self._bridge = bridge = Bridge(frames.put_nowait, loop.time)
+
+        def send(frame: list[Any]) -> bool:
+            room = has_room(frame[0], frames.qsize())
+            if room:
+                frames.put_nowait(frame)
+            return room
+
+        self._bridge = bridge = Bridge(send, loop.time)
         self.topics = {each["name"] for each in setup["links"]}
         bridge.begin(_Graph(self, bridge, self.topics, self._working), setup["feeds"])
 

@@ -28,7 +28,9 @@ from esair.values import printable
 _log = logging.getLogger("esair")
 
 _LARGEST: Final = 1 << 22  # how many bytes a frame of the process may have
+_BEHIND: Final = 1 << 13  # how many of its bytes are on the way: they are its past
 _UNSENT: Final = 1 << 20  # how many bytes may wait for it; what comes then is dropped
+_PACE, _BURST = 0.0005, 16  # a frame is taken so often, in seconds; so many at once
 _SILENT: Final = 2.0  # a process that has spoken is stuck after so many seconds without
 _STARTING: Final = 30.0  # how long it may take until it speaks, in seconds
 _FIRST, _MOST = 0.2, 5.0  # how long it stays ended, in seconds: ever longer
@@ -170,9 +172,10 @@ class Ros:
             pause = min(2.0 * pause, _MOST)
 
     async def _hear(self, bus: PeerBus) -> str:
-        door = Door.of(asyncio.get_running_loop())
+        loop = asyncio.get_running_loop()
+        door = Door.of(loop)
         self._far = far = await self.begin(bus, self.setup)
-        head, patience = None, _STARTING
+        head, patience, due = None, _STARTING, 0.0
         try:
             while True:
                 try:
@@ -183,6 +186,9 @@ class Ros:
                 if frame is None:
                     return await far.end()
                 patience = _SILENT
+                due = max(due, loop.time() - _BURST * _PACE) + _PACE
+                if due > loop.time():  # the robot has other work: ROS waits, or drops
+                    await asyncio.sleep(_BURST * _PACE)
                 try:
                     said = self._said(frame, bus)
                 except Exception as error:  # whatever came
@@ -218,11 +224,16 @@ class Ros:
             told = f"{name} is {ours} here, and {other}{by} in ROS: they do not meet"
             self._complain(bus, told)
             return None
+        if what == "dropped":
+            bus.stats.dropped += parts[0]
+            return None
         if what == "reading":
             parts[2] = self._find(parts[0]).form.value(parts[2])
         elif what == "ask":
             link = self._served[parts[0]] = self._find(parts[1])
             parts[1:] = link.part, link.form.value(parts[2])
+        elif what == "cancel":
+            self._served.pop(parts[0], None)
         elif what == "answer":
             asked = self._asked.pop(parts[0], None)
             if parts[1] == "answered" and asked is not None:
@@ -283,7 +294,7 @@ class Process:
         (popen, said, words) = await open_on(
             bus.executor, self.start, _kill, timeout=_STARTING
         )
-        reader, writer = await asyncio.open_connection(sock=said)
+        reader, writer = await asyncio.open_connection(sock=said, limit=_BEHIND)
         heard, other = await asyncio.open_connection(sock=words)
         living = Living(bus, popen, reader, writer, other)
         living.hear(heard)
@@ -296,6 +307,7 @@ class Process:
         if self.setup is not None:
             command = ["bash", "-c", '. "$0" && exec "$@"', self.setup, *command]
         (mine, its), (words, printed) = socket.socketpair(), socket.socketpair()
+        its.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BEHIND)
         with its, printed:
             try:
                 popen = subprocess.Popen(

@@ -1,0 +1,163 @@
+"""What ROS sends too much of: what waits is bounded and counted, and the robot keeps its pace."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tests.ros.parts import Beating, Citizen, Motion, twist
+
+import esair
+from esair.buses import ros
+from esair.buses.ros import Process
+from esair.buses.ros._child import ASKED, MOST, WAITING
+
+CHILD = str(Path(ros.__file__).parent / "_child.py")
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("ROS-2")
+async def test_what_ros_asks_and_says_at_once_is_bounded_and_counted() -> None:
+    """What there is no room for is refused, or dropped, and the robot knows how much."""
+    citizen = Citizen()
+    async with citizen.running():
+        asked = [
+            citizen.fake.call("/count", {"order": number}) for number in range(500)
+        ]
+        for _ in range(1000):
+            citizen.fake.publish("/range", {"data": 1.0})
+        assert citizen.fake._frames.qsize() <= WAITING
+        await asyncio.sleep(2.0)
+        done = [each.result() for each in asked if each.done()]
+        assert len(done) >= len(asked) - ASKED
+        assert {how for how, _ in done} == {"declined"}
+        assert citizen.bus.stats.dropped == len(asked) - ASKED + 1
+        citizen.lamp.go.set()
+        await asyncio.sleep(0.5)
+        assert all(each.done() for each in asked)
+        citizen.fake.publish("/cmd_vel", twist(0.3))
+        await citizen.wheels.until(Motion(0.3, 0.0), timeout=1.0)
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("ROS-1")
+async def test_what_ros_has_cancelled_is_forgotten() -> None:
+    """Goals that are given up leave nothing behind, however many there are."""
+    citizen = Citizen()
+    async with citizen.running():
+        for _ in range(20):
+            goal = citizen.fake.call("/count", {"order": 3})
+            await asyncio.sleep(0.1)
+            goal.cancel()
+            await asyncio.sleep(0.1)
+        assert citizen.lamp.cancelled == 20
+        assert citizen.network._served == {}
+
+
+STALLED = """
+import importlib.util, socket, sys
+spec = importlib.util.spec_from_file_location("child", sys.argv[1])
+child = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(child)
+
+def end(why):
+    print(why)
+    raise SystemExit(3)
+
+deaf, robot = socket.socketpair()
+box = child.Outbox(robot.sendall, end)
+frames = [["reading", 1, 1, 1, 1, 0.0, "/scan", 0.0, "x" * 1000]] * 5000
+taken = sum(map(box.send, frames))
+print(taken, box.waiting.qsize(), flush=True)
+for number in range(5000):
+    box.send(["ask", 1, 1, 1, 1, 0.0, number, "/light", {}])
+"""
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("ROS-2")
+def test_a_robot_that_does_not_listen_is_given_up() -> None:
+    """Behind it 64 readings wait and no more; with 1,024 of anything the process ends."""
+    done = subprocess.run(
+        [sys.executable, "-c", STALLED, CHILD],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=30.0,
+    )
+    counts, told = done.stdout.splitlines()
+    taken, waiting = map(int, counts.split())
+    assert waiting <= WAITING
+    assert taken < 5000  # what a socket keeps, and what waits
+    assert told == "the robot does not listen: too much waits for it"
+    assert done.returncode == 3
+    assert MOST == 1024
+
+
+FLOODING = """#!{python}
+import importlib.util, os, socket, struct, sys, threading, time
+spec = importlib.util.spec_from_file_location("child", {child!r})
+child = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(child)
+robot = socket.socket(fileno=os.dup(0))
+stream = robot.makefile("rb")
+
+def take():
+    size = stream.read(4)
+    if len(size) < 4:
+        os._exit(0)
+    return child.unpack(stream.read(struct.unpack(">I", size)[0]))
+
+class Graph:
+    topics = {{"/cmd_vel": None, "/range": None}}
+    publish = call = cancel = lambda *_: None
+    strangers = lambda _: ()
+
+setup = take()
+box = child.Outbox(robot.sendall, lambda _: os._exit(1))
+bridge = child.Bridge(box.send)
+bridge.begin(Graph(), setup["feeds"])
+
+def hear():
+    while True:
+        bridge.took(take())
+
+threading.Thread(target=hear, daemon=True).start()
+due = time.monotonic()
+while True:
+    if time.monotonic() >= due:
+        due += child.BEAT
+        bridge.tick()
+        bridge.say("reading", "/cmd_vel", 0.0, {twist})
+    bridge.say("reading", "/range", 0.0, {{"data": 1.0}})
+    if box.waiting.qsize() >= child.WAITING - 4:
+        time.sleep(0.0005)
+"""
+
+
+@pytest.mark.real_clock
+@pytest.mark.long
+@pytest.mark.promise("ROS-2", "STD-1")
+async def test_a_process_that_says_all_it_can_slows_nothing(tmp_path: Path) -> None:
+    """The robot's own work at 50 Hz is on time, what comes by ROS still drives it."""
+    flooding = tmp_path / "python3"
+    flooding.write_text(
+        FLOODING.format(python=sys.executable, child=CHILD, twist=twist(0.3))
+    )
+    flooding.chmod(0o755)
+    citizen, beating = Citizen(Process(str(flooding))), Beating()
+    async with citizen.robot(beating) as robot:
+        await citizen.wheels.until(Motion(0.3, 0.0), timeout=10.0)
+        told, received = len(citizen.wheels.commands), citizen.bus.stats.received
+        beating.late.clear()
+        await asyncio.sleep(3.0)
+        late = sorted(beating.late)
+        came = citizen.bus.stats.received - received
+        assert came > 1000
+        assert len(late) >= 140
+        assert late[len(late) * 95 // 100] < 0.01, late[-10:]
+        assert len(citizen.wheels.commands) - told >= 5
+        assert robot.resources.query("ros").state is esair.ResourceState.READY
