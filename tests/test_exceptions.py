@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import esair
-from esair.exceptions import describe, did_you_mean
+from esair.exceptions import describe, did_you_mean, in_short
 
 FAMILY: dict[str, tuple[type[Exception], tuple[Any, ...]]] = {
     "ConfigError": (ValueError, ("robot.toml", "sensor.sonar.rate", "expected Hz > 0")),
@@ -50,6 +50,16 @@ def test_each_error_is_under_the_root_and_its_built_in(name: str) -> None:
     assert isinstance(error, built_in)
     assert error.args
     assert "\n" not in str(error)
+
+
+def test_a_loss_is_told_once_for_each_wire_and_not_by_its_class() -> None:
+    """What matters is the reason, which stands behind the names."""
+    wire = esair.DeviceLostError("front", "no answer in 50 ms")
+    lost = esair.DeviceLostError("ranges", describe(wire))
+
+    assert describe(wire) == "device of 'front' is lost: no answer in 50 ms"
+    assert in_short(lost) == describe(wire)
+    assert in_short(esair.DeviceLostError("ranges")) == "device of 'ranges' is lost"
 
 
 @pytest.mark.parametrize("name", FAMILY)

@@ -430,13 +430,22 @@ def hint_for(word: str, known: Iterable[str], has: str = "there are") -> str:
 def describe(error: BaseException) -> str:
     """Name an error in one line, even one whose own ``__str__`` raises.
 
-    What cannot be printed is escaped: the text may be that of a device.
+    What cannot be printed is escaped: the text may be that of a device. The class of a
+    loss is left out: its text says it, once for each bus that is between.
     """
     try:
         text = printable(" ".join(str(error).split()))
     except BaseException:  # a user's __str__ may raise anything
         text = "(its text cannot be shown)"
+    if text and isinstance(error, DeviceLostError):
+        return text
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def in_short(error: EsairError) -> str:
+    """Say what is wrong in one line, where the device stands beside it."""
+    lost = isinstance(error, DeviceLostError) and error.detail
+    return printable(" ".join((lost or str(error)).split()))
 
 
 def wants_traceback() -> bool:

@@ -1,10 +1,14 @@
 """The command line as a whole."""
 
 import importlib.metadata
+import os
+import pty
+import termios
 
 import pytest
 
 from esair.cli import _main
+from esair.cli._errors import show
 
 WITHOUT = """
 import sys
@@ -160,3 +164,21 @@ def test_a_full_disk_is_told_in_one_line(start, tmp_path, words) -> None:
     assert process.returncode == 1
     (line,) = told.splitlines()
     assert "No space left on device" in line
+
+
+def test_no_word_is_cut_at_the_edge_of_a_terminal() -> None:
+    """A line goes on below, deeper; in a pipe it stays one line."""
+    line = "  bump keeps it safe while blind, up to priority 20"
+    ours, theirs = pty.openpty()
+    termios.tcsetwinsize(theirs, (24, 30))
+    with open(theirs, "w", encoding="utf-8") as terminal:
+        show(line, terminal)
+        terminal.flush()
+        told = os.read(ours, 1000).decode()
+    os.close(ours)
+    assert told == "  bump keeps it safe while\r\n    blind, up to priority 20\r\n"
+    read, write = os.pipe()
+    with open(write, "w", encoding="utf-8") as piped:
+        show(line, piped)
+    assert os.read(read, 1000).decode() == line + "\n"
+    os.close(read)

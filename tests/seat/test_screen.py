@@ -96,6 +96,13 @@ def test_the_newest_events_fill_the_rest():
     assert not any("s10 " in line for line in lines)
 
 
+def test_a_mode_is_told_as_one() -> None:
+    """The mode is no component that does something."""
+    event = {"kind": "mode", "component": "dock", "peer": "", "value": "explore"}
+    told = event_line({**event, "text": "the battery is low"}, "12:00:00")
+    assert told.plain == "12:00:00 mode dock the battery is low"
+
+
 @pytest.mark.promise("SEC-1")
 def test_nothing_of_a_device_reaches_the_terminal_raw():
     """Escapes, line ends and bidi characters of names, values, errors and events."""

@@ -120,7 +120,7 @@ async def test_only_those_of_the_mode_run() -> None:
         assert (robot.behaviors.mode, dock.story) == ("explore", [])
         assert set(wheels.commands) == {0.0, 1.0}
         told = robot.behaviors.query("dock").detail
-        assert told == "it rests in mode explore, and runs in dock"
+        assert told == "it runs in mode dock"
         why = str(robot.resources.why("wheels"))
         assert "dock rests in mode explore: it runs in dock" in why
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import errno
+import os
 import sys
+import textwrap
 from collections.abc import Collection, Iterable, Sequence
-from typing import Final
+from typing import Final, TextIO
 
 from esair.config import ConfigFileError
 from esair.exceptions import (
@@ -32,9 +34,24 @@ _EXTRAS: Final = {
 """Which extra of esair brings a package that a verb needs."""
 
 
+def show(line: str, stream: TextIO | None = None) -> None:
+    """Write one line; to a terminal as several, which begin with whole words."""
+    stream = stream or sys.stdout
+    if stream is not None and stream.isatty():
+        line = textwrap.fill(
+            line,
+            os.get_terminal_size(stream.fileno()).columns or 80,
+            subsequent_indent=" " * (len(line) - len(line.lstrip()) + 2),
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+    print(line, file=stream)
+
+
 def tell(message: str) -> None:
-    """Write one line to the standard error."""
-    print(f"esair: {message}", file=sys.stderr)  # noqa: T201 - this is the command line
+    """Write a message to the standard error."""
+    for line in f"esair: {message}".split("\n"):
+        show(line, sys.stderr)
 
 
 def exit_code_of(error: Exception) -> int | None:
@@ -80,7 +97,8 @@ def _show_mistakes(mistakes: Sequence[Exception]) -> int:
     from rich.console import Console
     from rich.text import Text
 
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console = Console(stderr=True, highlight=False)
+    console.soft_wrap = not console.is_terminal
     for mistake in mistakes:
         line = Text()
         if isinstance(mistake, ConfigFileError):

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final
 
 from cyclopts import Parameter
 
-from esair.cli._errors import CANNOT_USE, NOT_DONE, tell
+from esair.cli._errors import CANNOT_USE, NOT_DONE, show, tell
 from esair.cli._options import AsJson, Which
 from esair.seat import ACTS, Field, connect, robots, table_of
 from esair.values import printable
@@ -103,6 +103,6 @@ def _do(robot: str | None, name: str, fields: dict[str, Any], as_json: bool) -> 
         result = client.do(name, fields, timeout=wait)
     shown = json.dumps(result) if as_json else ACTS[name].tells(result)
     for line in shown.splitlines():
-        print(printable(line))  # noqa: T201 - this is the output
+        show(printable(line))
     told = result["told"] if name == "stop" else ()
     return 0 if all(each["answered"] for each in told) else NOT_DONE

@@ -326,7 +326,4 @@ def explain(gate: Gate, hold: Hold, now: float, told: object, *, is_safe: bool) 
 
 def rule_of(holder: Registration) -> str:
     """Say by which rule somebody holds an actuator."""
-    return (
-        f"priority {holder.priority} of {holder.behavior!r} holds until it has not "
-        "written for its hold; only a higher priority gets through"
-    )
+    return f"priority {holder.priority}, only a higher one gets through"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from esair.actions import Reaction
 from esair.connections import HALT
-from esair.exceptions import describe
+from esair.exceptions import describe, in_short
 from esair.loop import clock_of
 from esair.messages import ResourceState, Why
 from esair.recording import plain
@@ -84,7 +84,7 @@ class Status:
                 "name": name,
                 "kind": "sensor",
                 "state": status.state.value,
-                "error": "" if status.error is None else str(status.error)[:400],
+                "error": "" if status.error is None else in_short(status.error)[:400],
                 "rate": rates.get(f"r {name}"),
                 "age": None,
                 "late": counted.get("late", 0) + counted.get("missed", 0),

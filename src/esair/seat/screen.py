@@ -112,8 +112,10 @@ def event_line(event: Mapping[str, Any], clock: str) -> Text:
     by = f" by {peer}" if peer and kind not in {"added", "removed"} else ""
     rest = event["text"] or _told_value(event["value"])
     line = Text(f"{clock} ", "dim", no_wrap=True, overflow="ellipsis")
-    who = printable(event["component"])
-    line.append(f"{who} {printable(kind + by)}", f"not dim {_color(kind)}")
+    what = f"{event['component']} {kind}{by}"
+    if kind == Kind.MODE:
+        what = f"mode {event['component']}"
+    line.append(printable(what), f"not dim {_color(kind)}")
     return line.append(f" {printable(rest)[:400]}", "not dim")
 
 

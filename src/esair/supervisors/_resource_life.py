@@ -22,6 +22,7 @@ from esair.exceptions import (
     EsairError,
     NoTurnError,
     describe,
+    in_short,
 )
 from esair.journal import Kind
 from esair.loop import (
@@ -400,7 +401,7 @@ class ResourceLife:
         self.channel.down(ResourceState.LOST, cause)
         if first:
             self.losses += 1
-            self.life.tell(Kind.DOWN, cause, describe(cause))
+            self.life.tell(Kind.DOWN, cause, in_short(cause))
             _log.warning("%s: lost: %s", self.name, describe(error))
         elif type(error) is AnotherDeviceError and type(before) is not type(error):
             _log.warning("%s: still lost: %s", self.name, describe(error))

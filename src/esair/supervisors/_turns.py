@@ -137,8 +137,8 @@ class Turns:
     # Inside.
 
     def _why(self, member: Member) -> str:
-        there = ", ".join(self.modes.of_behavior(member.name))
-        return f"it rests in mode {self.mode}, and runs in {there}"
+        there = " or ".join(self.modes.of_behavior(member.name))
+        return f"it runs in mode {there}"
 
     def _check_newest(self, number: int, mode: str) -> None:
         if number != self._number:
