@@ -3,7 +3,8 @@
 import importlib.metadata
 
 project = "esair"
-author = "the authors of esair"
+author = "the esair authors"
+copyright = "2026 the esair authors"  # noqa: A001
 version = release = importlib.metadata.version("esair")
 
 extensions = [

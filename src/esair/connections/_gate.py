@@ -326,4 +326,5 @@ def explain(gate: Gate, hold: Hold, now: float, told: object, *, is_safe: bool) 
 
 def rule_of(holder: Registration) -> str:
     """Say by which rule somebody holds an actuator."""
-    return f"priority {holder.priority}, only a higher one gets through"
+    held_by = f"priority {holder.priority} of {holder.behavior!r}"
+    return f"{held_by}, only a higher one gets through"
