@@ -442,8 +442,10 @@ def describe(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-def in_short(error: EsairError) -> str:
+def in_short(error: BaseException) -> str:
     """Say what is wrong in one line, where the device stands beside it."""
+    if not isinstance(error, EsairError):
+        return describe(error)
     lost = isinstance(error, DeviceLostError) and error.detail
     return printable(" ".join((lost or str(error)).split()))
 
