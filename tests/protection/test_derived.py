@@ -585,3 +585,23 @@ async def test_it_waits_at_the_start_until_its_sources_were_tried() -> None:
         status = robot.resources.query("distance")
         assert (status.state, status.losses) == (ResourceState.READY, 0)
         assert distance.begun == 1
+
+
+@pytest.mark.promise("RS-3")
+async def test_the_rights_of_a_derived_one_end_with_each_of_its_openings() -> None:
+    """However often it was bound anew it has one for each source; removed, none."""
+    left, right = (FakeSensor(n, 1.0, type=float, rate=RATE) for n in ("left", "right"))
+    async with esair.Robot(resources=[left, right, Distance()]) as robot:
+
+        def live() -> list[str]:
+            rights = robot._resources.registrations.live.values()
+            return sorted(each.resource for each in rights)
+
+        for _ in range(3):
+            assert live() == ["left", "right"]
+            await robot.resources.replace(
+                "left", FakeSensor("left", 2.0, type=float, rate=RATE)
+            )
+            await asyncio.sleep(0.5)
+        await robot.resources.remove("distance")
+        assert live() == []

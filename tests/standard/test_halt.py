@@ -13,6 +13,7 @@ import pytest
 import esair
 from esair import BehaviorState, Refused
 from esair.loop import TurnLoop
+from esair.supervisors import _halts
 from esair.testing import FakeActuator, FakeSensor, VirtualLoop
 
 pytestmark = pytest.mark.virtual_clock
@@ -182,6 +183,19 @@ async def test_a_thread_halts_before_anything_else_happens(fake_actuator: Any) -
     assert [(each.safe, each.answered) for each in told] == [(True, True)]
     assert 1.0 in commands
     assert set(wheels.commands[commands.index(1.0) + 1 :]) == {0.0}
+
+
+@pytest.mark.promise("ROB-4")
+async def test_a_thread_that_halts_waits_no_longer_than_the_loop_needs(
+    monkeypatch: Any,
+) -> None:
+    """Its patience is for a loop that is busy."""
+    monkeypatch.setattr(_halts, "TAKEN_WITHIN", 20.0)
+    began = time.monotonic()
+    async with esair.Robot() as robot:
+        await (await asyncio.to_thread(robot.halt, "from a thread"))
+        assert robot.halted == "from a thread"
+    assert time.monotonic() - began < 10.0
 
 
 @pytest.mark.promise("ROB-4")

@@ -487,6 +487,16 @@ async def test_operations_that_wait_are_bounded() -> None:
         assert len(late) == 14
 
 
+async def test_operations_that_are_over_count_no_more() -> None:
+    """However many there were: the bound is for those of one time."""
+    lift = Lift()
+    async with made(lift) as robot:
+        mine = await right(robot)
+        for _ in range(40):
+            await robot.resources.operate(mine, "zero")
+        assert lift.did.count("zero") == 40
+
+
 async def test_a_blind_guard_ends_an_operation(fake_sensor: Any) -> None:
     """An operation may move: who cannot see lets none begin, and none go on."""
     door = fake_sensor("door", True)
