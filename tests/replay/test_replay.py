@@ -20,6 +20,7 @@ from tests.replay import robots
 from tests.replay.soak import folder_of_robot, unequal
 
 import esair
+from esair.buses import Bus
 from esair.codec import Kinds
 from esair.exceptions import RecordingBrokenError
 from esair.recording import Kept, chunks_of, events_of
@@ -83,6 +84,59 @@ def test_a_changed_constant_is_named_as_the_first_difference(
     assert found.expected.value == pytest.approx(0.5 * sonar.value)
     assert found.turn > 0
     assert found.expected.time - sonar.time < 0.1
+
+
+class Line(Bus):
+    """One thread for all who are on it."""
+
+    async def _open(self) -> None:
+        pass
+
+    async def _close(self) -> None:
+        pass
+
+
+class Slow(esair.Actuator[float]):
+    """Keeps the thread of its line for a while."""
+
+    safe = 0.0
+    command_timeout = 1.0
+
+    def write(self, command: float) -> None:  # type: ignore[override]
+        time.sleep(0.05 * command)
+
+
+class HaltsBetween(esair.Behavior):
+    """Halts the robot while one command waits for the thread that has another."""
+
+    first = esair.writes(float)
+    second = esair.writes(float)
+
+    async def run(self) -> None:
+        writes = [
+            asyncio.ensure_future(w.write(1.0)) for w in (self.first, self.second)
+        ]
+        await asyncio.sleep(0.01)
+        await self.halt_robot("enough")
+        await asyncio.gather(*writes)
+
+
+@pytest.mark.promise("REP-2", "RS-3")
+def test_a_command_that_a_thread_has_refused_is_refused_again(tmp_path: Path) -> None:
+    """It was in the thread's queue when the robot was halted: that is no driver's error."""
+
+    def make(record: esair.Recording | None = None) -> esair.Robot:
+        line = Line(name="line")
+        both = [Slow(name=name, bus=line) for name in ("first", "second")]
+        return esair.Robot(resources=both, behaviors=[HaltsBetween()], record=record)
+
+    path = tmp_path / "run.mcap"
+    esair.run(make(esair.Recording(path, min_free=0)), duration=0.3)
+    kinds = [str(each.kind) for each in events_of(path) if each.component == "second"]
+    assert "refused" in kinds
+    assert "unanswered" not in kinds
+
+    assert Replay(path).run(make()).divergence is None
 
 
 def verbs(folder: Path, *words: str, hash_seed: int = 1) -> tuple[int, str]:

@@ -485,6 +485,7 @@ async def test_operations_that_wait_are_bounded() -> None:
         # One that ends in the moment of its deadline is in time.
         assert len(done) == 2
         assert len(late) == 14
+        assert robot.journal.counts()["resources"]["turned_away"] == 1
 
 
 async def test_operations_that_are_over_count_no_more() -> None:

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from esair.codec import CodecError, Kinds, declared, decode, encode
 from esair.exceptions import RecordingBrokenError
-from esair.loop import SPOILED, First, Tag, TapeWriter
+from esair.loop import SPOILED, CallRefused, First, Tag, TapeWriter
 from esair.messages import Reading, Stamped, StampedReading
 from esair.recording._reading import MESSAGE
 
@@ -69,7 +69,8 @@ def kinds_of(components: Callable[[], Iterable[Any]], **options: bool) -> Kinds:
                 kinds.add(found)
             kinds.add(getattr(inner, "value_type", None))
 
-    kinds = Kinds([Reading, StampedReading, Stamped], more=add, **options)
+    always = [Reading, StampedReading, Stamped, CallRefused]
+    kinds = Kinds(always, more=add, **options)
     add(kinds)
     return kinds
 
