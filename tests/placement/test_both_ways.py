@@ -363,7 +363,7 @@ ANSWERS = {
 }
 
 
-@pytest.mark.promise("ASK-1", "ASK-2")
+@pytest.mark.promise("BS-8", "BS-10")
 @pytest.mark.parametrize("mood", ANSWERS)
 @pytest.mark.parametrize("other_way", [False, True])
 async def test_an_ask_has_one_outcome(place: Place, mood: str, other_way: bool) -> None:
@@ -375,7 +375,7 @@ async def test_an_ask_has_one_outcome(place: Place, mood: str, other_way: bool) 
         assert found == ANSWERS[mood] or found[0] == ANSWERS[mood]
 
 
-@pytest.mark.promise("ASK-3")
+@pytest.mark.promise("BS-11")
 @pytest.mark.parametrize("other_way", [False, True])
 async def test_an_asker_that_ends_withdraws(place: Place, other_way: bool) -> None:
     """Its request is over, and the work on it is cancelled."""
@@ -388,7 +388,7 @@ async def test_an_asker_that_ends_withdraws(place: Place, other_way: bool) -> No
         await world.until(lambda: not world.robot.behaviors.query("worker").working)
 
 
-@pytest.mark.promise("ASK-4")
+@pytest.mark.promise("BS-10")
 @pytest.mark.parametrize("other_way", [False, True])
 @pytest.mark.parametrize("how", ["remove", "replace"])
 async def test_a_worker_that_goes_ends_the_work_at_once(

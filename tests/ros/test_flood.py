@@ -140,7 +140,7 @@ while True:
 
 @pytest.mark.real_clock
 @pytest.mark.long
-@pytest.mark.promise("ROS-2", "STD-1")
+@pytest.mark.promise("ROS-2")
 async def test_a_process_that_says_all_it_can_slows_nothing(tmp_path: Path) -> None:
     """The robot's own work at 50 Hz is on time, what comes by ROS still drives it."""
     flooding = tmp_path / "python3"

@@ -333,7 +333,7 @@ async def test_its_process_is_killed(times: int) -> None:
         assert names.count("rover") >= 1
 
 
-@pytest.mark.promise("ROS-2", "STD-1")
+@pytest.mark.promise("ROS-2")
 async def test_a_topic_at_a_thousand_hertz_slows_nothing() -> None:
     """A reading comes as often as it is wanted; the robot's own work is on time."""
     made, beating = citizen(), Beating()
