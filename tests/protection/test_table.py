@@ -167,6 +167,20 @@ async def test_the_end_of_a_mute_is_told() -> None:
     await asyncio.sleep(1.1)
 
 
+async def test_a_mute_that_is_over_leaves_nothing_behind() -> None:
+    """However often the user mutes: what waits is the ends of those in force."""
+    table = Protections(channels(wheels=Channel()))
+    entries = [hold()]
+    table.enter(entries)
+    for seconds in (2.0, 1.0, 1.0):
+        table.mute(entries, seconds, "a test")
+    assert len(table._ends) == 3
+    await asyncio.sleep(1.1)
+    assert len(table._ends) == 1
+    await asyncio.sleep(1.0)
+    assert table._ends == []
+
+
 async def test_a_latch_goes_on_to_who_has_the_same_place() -> None:
     """With the command that latched it: the reset is refused while that is."""
     before = deciding(guard(latch=True), lambda _: None)

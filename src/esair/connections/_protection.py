@@ -11,6 +11,7 @@ import asyncio
 import copy
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 from esair.connections._calls import Apply, Call
@@ -276,7 +277,7 @@ class Protections:
             self._tell(entry.actuator, guards=entry.guards)
         if seconds > 0:
             loop = asyncio.get_running_loop()
-            end = Scheduler.of(loop).at(until, self._tell_all, order=Order.EXPIRY)
+            end = Scheduler.of(loop).at(until, self._mute_is_over, order=Order.EXPIRY)
             self._ends.append(end)
 
     def reset(self, entries: Iterable[Protection]) -> None:
@@ -303,7 +304,8 @@ class Protections:
         for end in self._ends:
             scheduler.cancel(end)
 
-    def _tell_all(self, _moment: float) -> None:
+    def _mute_is_over(self, _moment: float) -> None:
+        self._ends.remove(min(self._ends, key=attrgetter("due")))
         for actuator in self._entries:
             self._tell(actuator)
 
