@@ -25,7 +25,7 @@ from esair.placement._home import Order, Reacting, fill, scope
 from esair.placement._kinds import KindsOfChild
 from esair.placement._loop import ChildLoop
 from esair.placement._recipe import find, make
-from esair.placement._wire import CALLS, Item, Values, Wire
+from esair.placement._wire import CALLS, ITEMS, Item, Values, Wire
 from esair.placement._words import RECORD
 from esair.plan import inner_of, recipe_of
 from esair.resources import Sensor, adapt_resource
@@ -209,7 +209,7 @@ class Child:
         options: dict[str, Any],
         future: asyncio.Future[Any] | None,
     ) -> int:
-        if len(self._calls) >= CALLS:
+        if len(self._calls) >= CALLS or len(self._out) >= ITEMS // 2:
             raise BusyError(self.name, "number of calls from its process", CALLS)
         busy = time.monotonic() - self._heard
         data = self.values.pack(verb, (scope.get(), busy, args, options))

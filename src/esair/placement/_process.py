@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import contextvars
+import math
 import os
 import select
 import signal
@@ -256,7 +257,9 @@ class Process:
                 else:
                     self._door.post(0, self._tag, self._ticked)
                 return
-            case (("idle" | "sync"), (None | float())), _ if self._work:
+            case (("idle" | "sync"), (None | float() as wake)), _ if self._work and (
+                wake is None or math.isfinite(wake)
+            ):
                 work, self._work = self._work, 0
                 self._door.post(work, self._tag, self._came, *message)
                 return

@@ -309,7 +309,7 @@ class Seat:
         process = self.process
         assert process is not None
         match given:
-            case (int(scope), float(busy), tuple(args), dict(options)):
+            case (int(scope), float(busy), tuple(args), dict(options)) if busy >= 0.0:
                 pass
             case _:
                 process.condemn("has asked for what it cannot have")
@@ -328,7 +328,8 @@ class Seat:
         waits = self._verbs.waits.get(verb)
         if verb == "next order":  # what it asks for next it does for that
             context = process.scopes.get(args[0]) if args else None
-        if waits is None or context is None or len(self._tasks) >= CALLS:
+        is_known = number in self._tasks
+        if waits is None or context is None or is_known or len(self._tasks) >= CALLS:
             process.condemn("has asked for what it cannot have")
             return
         asked = Asked(number, process.lateness(busy))

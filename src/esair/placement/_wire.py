@@ -21,6 +21,9 @@ from esair.loop import raisable
 CALLS: Final = 64
 """How many calls of one side may be in flight."""
 
+ITEMS: Final = 16 * CALLS
+"""How many items a message may have."""
+
 PACKET: Final = 1 << 16
 """What is larger goes as a file in memory, in bytes."""
 
@@ -104,6 +107,8 @@ class Wire:
             return None
         match decode(data, _PLAIN, MESSAGE + PACKET):
             case (head, list(parts)) if all(_is_item(each) for each in parts):
+                if len(parts) > ITEMS:
+                    raise CodecError(f"it has {len(parts)} items")
                 return head, [Item(*each) for each in parts]
         raise CodecError("it is no message")
 

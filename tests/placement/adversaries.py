@@ -1,0 +1,119 @@
+"""Components that are stuck, swallow, flood and lie, each in a process of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import os
+import socket
+from collections.abc import Callable
+from typing import Any
+
+from tests.placement.parts import Twist
+
+import esair
+from esair.placement._wire import Item
+
+MANY = 1000
+
+
+def flood(child: Any, count: int, item: Callable[[int], Item]) -> None:
+    child._out += [item(number) for number in range(count)]
+
+
+def say(text: str) -> None:
+    os.write(1, text.encode())
+
+
+def record(**changes: object) -> None:
+    told = {"level": 20, "name": "esair", "text": "x", **changes}
+    say(f"\x1e{json.dumps(told)}\n")
+
+
+def swallow(child: Any) -> None:
+    """Take whatever comes, and answer nothing."""
+    end = child._wire._end
+    while True:
+        end.recv(1 << 16)
+
+
+def call(child: Any, number: int, verb: str, *args: Any, busy: Any = 0.0) -> Item:
+    return Item("call", number, verb, child.values.pack("x", (0, busy, args, {})))
+
+
+def wake(child: Any, when: float) -> None:
+    child._wire.send(("idle", when), [])
+    child._has_turn = False
+
+
+def send_file(child: Any) -> None:
+    file = os.memfd_create("x", os.MFD_ALLOW_SEALING)
+    os.ftruncate(file, 8 << 20)
+    socket.send_fds(child._wire._end, [b"\0"], [file])
+
+
+def name_many() -> None:
+    for each in range(150):
+        record(name=f"adversary.{each}")
+
+
+LIES: dict[str, Callable[[Any], object]] = {
+    "not a number": lambda child: wake(child, math.nan),
+    "after all time": lambda child: wake(child, math.inf),
+    "one call for ever": lambda child: flood(
+        child, MANY, lambda _: call(child, 9, "receive", None)
+    ),
+    "calls without end": lambda child: flood(
+        child, 20 * MANY, lambda number: call(child, number, "query", "liar")
+    ),
+    "answers to nobody": lambda child: flood(
+        child, 20 * MANY, lambda number: Item("done", 9 + number, "", b"")
+    ),
+    "busy for ever": lambda child: child._out.append(
+        call(child, 9, "port", "wheels", "write", Twist(1.0, 1.0), busy=math.nan)
+    ),
+    "swallow": swallow,
+    "files": send_file,
+}
+
+WORDS: dict[str, Callable[[], object]] = {
+    "no level": lambda: record(level=math.inf),
+    "nested": lambda: say("\x1e" + "[" * 16000 + "\n"),
+    "a name of two lines": lambda: record(name="a\nb", level=40),
+    "names": name_many,
+}
+
+
+class Speaker(esair.Behavior):
+    """Drives, and then does something bad, once or again and again."""
+
+    placement = "process"
+    wheels = esair.writes(Twist)
+
+    def __init__(self, what: str) -> None:
+        super().__init__(name="liar")
+        self.what = what
+
+    async def run(self) -> None:
+        child: Any = self._host._child
+        await self.wheels.write(Twist(0.1, 0.0))
+        await asyncio.sleep(0.1)
+        if self.what in LIES:
+            LIES[self.what](child)
+            await asyncio.sleep(1.0)
+        elif self.what in WORDS:
+            WORDS[self.what]()
+            say("that was it\n")
+            await asyncio.sleep(60.0)
+        while self.what == "lines":
+            say("\n" * 4096)
+        while self.what == "records":
+            say("\x1e{\n" * 1300)
+        while self.what == "wakes":  # noqa: ASYNC110 - it should not
+            await asyncio.sleep(1e-9)
+        while self.what == "memory":
+            eaten = [bytearray(1 << 20)]
+            while True:
+                eaten += [bytearray(1 << 20)]
+                await asyncio.sleep(0.0)
