@@ -57,9 +57,10 @@ def certificates(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "names").write_text("subjectAltName=IP:127.0.0.1,DNS:localhost\n")
     for name, authority, days in (
         *(("base", "ca", 9), ("rover", "ca", 9), ("thief", "ca", 9)),
-        ("rover", "other", 9),
+        *(("rover", "other", 9), ("rover", "ca", -1)),
     ):
         file = name if authority == "ca" else f"{authority}-{name}"
+        file = "expired" if days < 0 else file
         openssl(
             *("req", *curve, "-subj", f"/CN={name}"),
             *("-keyout", f"{file}.key", "-out", f"{file}.csr"),
@@ -146,11 +147,18 @@ async def test_tls(certificates: Path) -> None:
 
 
 @pytest.mark.promise("NET-5")
-@pytest.mark.parametrize("who", ["thief", "other-rover", "nobody"])
+@pytest.mark.parametrize("who", ["thief", "other-rover", "expired", "nobody"])
+@pytest.mark.parametrize("tries", [1, pytest.param(50, marks=pytest.mark.soak)])
 async def test_who_has_not_the_certificate_is_not_heard(
-    certificates: Path, who: str
+    certificates: Path, who: str, tries: int
 ) -> None:
-    """Another robot of the authority, another authority, none: nothing gets in."""
+    """Another robot of the authority, another one, over, none: nothing gets in."""
+    for _ in range(tries):
+        await refused(certificates, who)
+
+
+async def refused(certificates: Path, who: str) -> None:
+    """Let somebody try to get in, with all that the robot has for it."""
     end = f"tls/127.0.0.1:{free_port()}"
     mine = tls(certificates, "base")
     base = Network(me="base", peers=["rover"], listen=[end], tls=mine)
