@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import ctypes
 import logging
+import math
 import os
 import signal
 import socket
@@ -269,6 +270,14 @@ class Performer(esair.Behavior):
             await child.call("manage", "add", told)
         elif self.act == "nonsense":
             await child.call("step", 3)
+        elif self.act.startswith("limits"):
+            limits = {
+                "for ever": (math.nan, None),
+                "blind": (None, -1.0),
+                "one": (1.0,),
+            }
+            wrong = limits[self.act.removeprefix("limits ")]
+            await child.call("perform", child.recipe(Turn("")), False, *wrong)
         elif self.act == "verdict":
             child._decide = lambda *_: 7  # no decision and verdict
             await self.perform(Turn(""))

@@ -258,6 +258,9 @@ REFUSED = {
     "constructor": "the robot has no class of an action loaded as os:PathLike",
     "nonsense": "expected an action, not 3",
     "verdict": "has sent what is no value",
+    "limits for ever": "timeout: expected seconds > 0, not nan",
+    "limits blind": "blind_timeout: expected seconds > 0, not -1.0",
+    "limits one": "missing 1 required positional argument: 'blind_timeout'",
 }
 
 
@@ -266,7 +269,7 @@ REFUSED = {
     "act", [each if each == "guard" else long_(each) for each in REFUSED]
 )
 async def test_what_a_child_cannot_perform_is_refused_in_words(act: str) -> None:
-    """A guard, a class of a function, and whatever is no class of an action."""
+    """A guard, what is no class of an action, and limits that are no seconds."""
     wheels, sonar = fake_wheels(), FakeSensor("sonar", 1.0)
     allows = esair.Policy.behaviors(allow={"performer": "manage"})
     async with esair.Robot(

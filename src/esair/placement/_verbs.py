@@ -12,6 +12,7 @@ from esair.exceptions import AccessDeniedError, ConfigError
 from esair.loop import clock_of, wake
 from esair.messages import Access, Refused
 from esair.placement._recipe import loaded
+from esair.values import check_duration
 
 _PORT_WAITS = {"read", "reading", "write", "configure", "operate"}
 _PORT_PLAIN = {"history", "why", "release", "newest", "settings", "state", "max_age"}
@@ -203,8 +204,17 @@ class BehaviorVerbs(PortVerbs):
     # Steps: their code runs in the child, their rights and their blindness are here.
 
     async def _perform(
-        self, asked: Asked, recipe: object, ends: bool, *limits: float | None
+        self,
+        asked: Asked,
+        recipe: object,
+        ends: bool,
+        timeout: float | None,
+        blind_timeout: float | None,
     ) -> bool:
+        limits = {"timeout": timeout, "blind_timeout": blind_timeout}
+        for field, seconds in limits.items():
+            if seconds is not None:
+                check_duration(self._behavior.name, field, seconds)
         reaction = loaded(recipe)
         if not isinstance(reaction, Reaction) or reaction.guarded is not None:
             told = "a guard stays in the robot's process, and so does who performs it"
@@ -213,7 +223,7 @@ class BehaviorVerbs(PortVerbs):
         until = seat.is_over if ends else None
         with self._performed(asked, reaction):
             host = vars(self._behavior)["_host"]
-            return await host.perform(reaction, until, *limits, seat)  # type: ignore[no-any-return]
+            return await host.perform(reaction, until, **limits, seat=seat)  # type: ignore[no-any-return]
 
     async def _step(self, asked: Asked, recipe: object) -> None:
         behavior = loaded(recipe)
