@@ -186,6 +186,7 @@ async def test_what_it_stands_for(file: Path) -> None:
         ("domain = 7", 'domain = "a"', "domain", "whole number"),
         ("priority = 5", "priorty = 5", "priorty", "did you mean 'priority'"),
         ('sensor = "scan"', 'sensor = "where"', "scan", "a sensor 'where' already"),
+        ('services."/dock"', 'services."/scan"', "services", "a topic '/scan' already"),
     ],
 )
 def test_a_mistake_is_found_before_anything_moves(

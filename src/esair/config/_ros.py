@@ -89,19 +89,22 @@ def read_ros(source: Source) -> Citizen | None:
     table = source.convert(source.data["ros"], _Ros, "ros")
     if table is INVALID:
         return None
-    ways = {"topic": ("sensor", "drive", "publish")}
     found: dict[str, dict[str, Any]] = {}
-    for kind, suffix, form in (
-        ("topic", "msg", _Topic),
-        ("service", "srv", _Service),
-        ("action", "action", _Service),
+    names: dict[str, str] = {}
+    for kind, suffix, form, ways in (
+        ("topic", "msg", _Topic, ("sensor", "drive", "publish")),
+        ("service", "srv", _Service, ("ask", "behavior")),
+        ("action", "action", _Service, ("ask", "behavior")),
     ):
         tables = getattr(table, f"{kind}s")
-        found[kind] = dict(
-            _sound(
-                source, kind, suffix, form, tables, ways.get(kind, ("ask", "behavior"))
-            )
-        )
+        found[kind] = dict(_sound(source, kind, suffix, form, tables, ways))
+        for name in found[kind]:
+            other = names.setdefault(name, kind)
+            if other != kind:  # by its name it is known what comes
+                wrong = (
+                    f"there is a {other} {name!r} already: a robot has one of a name"
+                )
+                source.mistakes.add(dotted("ros", f"{kind}s", name), wrong)
     calls = {
         (kind, name): each
         for kind in ("service", "action")
@@ -220,8 +223,10 @@ def add_citizen(draft: Draft, citizen: Citizen | None) -> None:
             made = peer_behavior(part, bus, [request], remote=name)
             _add_behavior(draft, key, part, made)
         flow = "in" if call.ask is not None else "out"
-        forms = {"form": (request, call.fields), "answer": (None, call.answer)}
-        forms["answer"] = answer_type(request), call.answer
+        forms = {
+            "form": (request, call.fields),
+            "answer": (answer_type(request), call.answer),
+        }
         _link(draft, citizen, key, name, call, kind, flow, part, forms)
     if shares:
         _add_behavior(draft, "ros", BUS, Sharing(bus=bus, shares=shares.values()))
