@@ -40,7 +40,7 @@ def pack(frame: Any) -> bytes:
 
 def unpack(data: bytes) -> Any:
     """Return the frame of some JSON."""
-    return json.loads(data, object_hook=_unblob)
+    return json.loads(data.decode(), object_hook=_unblob)
 
 
 def _blob(value: Any) -> dict[str, str]:

@@ -103,12 +103,14 @@ class Ros:
     domain: int | None = attrs.field(default=None, kw_only=True)
     _far: Far | None = attrs.field(default=None, init=False)
     _life: asyncio.Task[None] | None = attrs.field(default=None, init=False)
+    _named: dict[str, Link] = attrs.field(factory=dict, init=False)
     _asked: dict[int, Link] = attrs.field(factory=dict, init=False)
     _served: dict[int, Link] = attrs.field(factory=dict, init=False)
     _complained: set[str] = attrs.field(factory=set, init=False)
 
     async def join(self, bus: PeerBus) -> Callable[[str, bytes], None]:
         """Keep the other side alive, and hand to the bus what it says."""
+        self._named = {each.name: each for each in self.links}
         for link in self.links:
             bus.declare(link.form.kind)
             bus.declare(link.answer.kind)
@@ -212,9 +214,6 @@ class Ros:
             self._complained.add(told)
             _log.warning("%s: %s", bus.name, told)
 
-    def _find(self, name: str) -> Link:
-        return {each.name: each for each in self.links}[name]
-
     def _said(self, frame: list[Any], bus: PeerBus) -> tuple[str, bytes] | None:
         """Return what the other side has said as a message of a peer."""
         what, head, parts = frame[0], Head(*frame[1:6]), frame[6:]
@@ -228,9 +227,9 @@ class Ros:
             bus.stats.dropped += parts[0]
             return None
         if what == "reading":
-            parts[2] = self._find(parts[0]).form.value(parts[2])
+            parts[2] = self._named[parts[0]].form.value(parts[2])
         elif what == "ask":
-            link = self._served[parts[0]] = self._find(parts[1])
+            link = self._served[parts[0]] = self._named[parts[1]]
             parts[1:] = link.part, link.form.value(parts[2])
         elif what == "cancel":
             self._served.pop(parts[0], None)
@@ -252,7 +251,7 @@ class Ros:
                     yield ["publish", *head, link.name, parts[1], message]
             return
         if what == "ask":
-            link = self._find(parts[1])
+            link = self._named[parts[1]]
             parts[2] = link.form.message(parts[2])
             self._asked[parts[0]] = link
         elif what == "cancel":
