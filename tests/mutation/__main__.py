@@ -349,7 +349,7 @@ def main() -> int:
         help="a file that keeps what the tests reach, for the next time",
     )
     parser.add_argument("--tests", nargs="+", default=TESTS, help="which to try")
-    parser.add_argument("--min", type=float, default=90.0, help="percent to be killed")
+    parser.add_argument("--min", type=float, default=92.0, help="percent to be killed")
     runner = Runner(parser.parse_args())
     arguments = ["-q", "-p", "no:cacheprovider"]
     end = pytest.main([*arguments, *runner.options.tests], plugins=[runner])
