@@ -183,6 +183,8 @@ def by_hand(make: Maker) -> Iterator[tuple[str, bytes]]:
     yield "text", b"motor,1\n" * 50
     yield "magic", MAGIC
     yield "another profile", make.file(event(), profile="ros2")
+    whole = make.file(event())
+    yield "no profile", whole.replace(b"esair", b"\xff" * 5, 1)
     for name, harm in (
         ("pickle", pickle.dumps((0, [Harm()]))),
         ("code", HARM.encode()),

@@ -64,6 +64,22 @@ def test_any_cut_at_any_byte_is_readable(tmp_path: Path) -> None:
     assert counts[-1] == 60
 
 
+@pytest.mark.promise("REC-3")
+@pytest.mark.fault("P04")
+@pytest.mark.real_clock
+def test_what_has_no_beginning_is_told_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It is no recording: then no place in it is told, too."""
+    path = tmp_path / "run.mcap"
+    write(path, 1)
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"esair", b"\xff" * 5, 1))
+    with pytest.raises(esair.RecordingBrokenError, match="no recording of esair"):
+        recover(path)
+    assert caplog.messages == []
+
+
 @pytest.mark.long
 @pytest.mark.promise("REC-3")
 @pytest.mark.fault("P04")

@@ -143,7 +143,6 @@ def _parts_of(
         following = begin + 9 + length
         if kind == _FOOTER or length == _BEGUN or following > end:
             return
-        damaged.begun = damaged.begun or kind == _HEADER
         limit = CHUNK if kind == _CHUNK else PART
         if kind in _READ and not (kind == _CHUNK and skip_messages):
             try:
@@ -153,7 +152,9 @@ def _parts_of(
                 if kind == _CHUNK:
                     yield from _of_chunk(data)
                 else:
-                    yield _READ[kind](data)
+                    part = _READ[kind](data)
+                    damaged.begun = damaged.begun or kind == _HEADER
+                    yield part
             except (_DamagedError, ValueError, struct.error, IndexError):
                 damaged.note(begin)
         begin = following
