@@ -19,6 +19,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
+from tests.patience import TRIES
 from tests.watchdog.cgroups import cgroup_of, killed_in
 
 from esair.watchdog import SafeFrames, can_frame
@@ -101,14 +102,19 @@ def run(*words: str, program: Path = VICTIM) -> tuple[Run, str]:
 @pytest.mark.parametrize("way", [*DEAD, *STUCK])
 def test_safe_is_the_last_thing_on_the_wire(way: str) -> None:
     """However the process dies or hangs, and with a motion that was cut in half."""
-    victim, errors = run(way)
-    # What was cut in half is ended by an empty line, or was thrown away with the queue.
-    assert victim.data.endswith((b"GO\nGO\nSTOP\n", b"GO\n\nSTOP\n"))
-    assert "esair watchdog: " in errors
-    assert "wheels safe" in errors
-    if way in STUCK and way != "stop":  # that one tells nothing any more
-        assert "no turn for " in errors
-        assert re.search(r'in File ".*victim.py", line \d+ in die: ', errors)
+    tells = way in STUCK and way != "stop"  # that one tells nothing any more
+    for _ in range(TRIES):
+        victim, errors = run(way)
+        # What was cut in half is ended by an empty line, or was thrown away with the queue.
+        assert victim.data.endswith((b"GO\nGO\nSTOP\n", b"GO\n\nSTOP\n"))
+        assert "esair watchdog: " in errors
+        assert "wheels safe" in errors
+        assert ("no turn for " in errors) is (way in STUCK)
+        # Whoever has no processor for half of the limit cannot say what it executes.
+        told = bool(re.search(r'in File ".*victim.py", line \d+ in die: ', errors))
+        if told is tells:
+            break
+    assert told is tells
 
 
 @pytest.mark.promise("GRD-1")
