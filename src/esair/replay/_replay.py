@@ -191,7 +191,8 @@ class Replay:
             diverged=diverged,
         )
         prepare_replay(robot, self.seed, has_seat=self._has_seat)
-        robot.journal.listen(comparison.hear, backlog=1 << 20)
+        listener = robot.journal.listen(comparison.hear, backlog=1 << 20)
+        listener.is_waited_for = True  # what it was not told yet would be missed
 
         async def run() -> None:
             try:
