@@ -208,10 +208,15 @@ async def test_a_grab_that_does_not_return_costs_its_time_only() -> None:
     """It is lost; the camera is closed when its thread has come back, not before."""
     kernel = Kernel()
     device = Camera(opener=lambda _request: kernel)
-    loop = asyncio.get_running_loop()
-    kernel.take()
-    loop.call_later(0.05, kernel.take)
+
+    async def feed() -> None:
+        while True:
+            kernel.take()
+            await asyncio.sleep(0.02)
+
+    feeding = asyncio.ensure_future(feed())
     await device.open()
+    feeding.cancel()
     device.silent_after = 0.2  # from here on: the opening may meet a busy computer
     kernel.hangs.set()
     stream: Any = device.stream()
