@@ -206,6 +206,7 @@ async def test_six_servos_at_50_hz_within_the_latency_of_the_adapter(
     assert 199 <= fakes.turns <= 205
 
 
+@pytest.mark.virtual_clock
 async def test_a_silent_servo_costs_the_others_nothing_but_time() -> None:
     """Those behind it on the wire are asked alone; it is told by itself."""
     fakes = FakeServos(range(1, 4))
@@ -221,6 +222,7 @@ async def test_a_silent_servo_costs_the_others_nothing_but_time() -> None:
     await bus.close()
 
 
+@pytest.mark.virtual_clock
 async def test_a_goal_that_is_given_up_in_the_line_is_not_sent() -> None:
     """Of one servo the newest counts."""
     fakes = FakeServos([1, 2])
@@ -239,6 +241,7 @@ async def test_a_goal_that_is_given_up_in_the_line_is_not_sent() -> None:
     await bus.close()
 
 
+@pytest.mark.virtual_clock
 async def test_a_servo_turns_and_pushes_in_its_mode() -> None:
     """The mode is set without torque, kept over power, and at rest when it is safe."""
     fakes = FakeServos([1, 2])
