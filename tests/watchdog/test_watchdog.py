@@ -126,9 +126,9 @@ def test_the_watchdog_outlives_a_robot_that_is_out_of_memory() -> None:
         assert victim.process.returncode == -signal.SIGKILL
         assert killed_in(group) == 1
     assert victim.data.endswith(b"STOP\n")
-    assert re.fullmatch(
-        r"esair watchdog: its process died: wheels safe, after .*\n", errors
-    )
+    # A large process goes bit by bit: on a busy computer its end of the line goes first.
+    gone = "its process died|its robot is gone, its process is not"
+    assert re.fullmatch(rf"esair watchdog: ({gone}): wheels safe, after .*\n", errors)
 
 
 @pytest.mark.promise("GRD-3")
