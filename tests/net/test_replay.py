@@ -138,5 +138,5 @@ def test_the_user_repeats(tmp_path: Path, seed: int) -> None:
     esair.run(robot, duration=1.2)
     begun.task.result()
     again = Pair()
-    equal(path, again.rover(Following(), resources=[Outside()]), 30)
+    equal(path, again.rover(Following(), resources=[Outside()]), 15)
     assert again.network.log == []
