@@ -16,7 +16,7 @@ from esair.buses import CanBus, Exchanges, Frame
 from esair.buses.can import Mask
 from esair.drivers._on_bus import shared
 from esair.drivers.dbc import _j1939 as j1939
-from esair.exceptions import DeviceFaultError, EsairError
+from esair.exceptions import DeviceFaultError, DeviceLostError, EsairError
 from esair.loop import spawn
 
 ALL: Final = 0xFF
@@ -32,10 +32,14 @@ ANSWER: Final = 1.25
 HOLD: Final = 1.05
 """How long a node that asked to wait may be silent, in seconds."""
 
-WHY: Final = {
+ABSENCES: Final = {
     1: "it is busy with another message",
     2: "it has no room",
     3: "it waited for too long",
+}
+"""Why a node, or a gateway for it, ends a message that may come later."""
+
+FAULTS: Final = {
     4: "packets were sent that it did not want yet",
     5: "packets had to be sent too often",
 }
@@ -99,8 +103,12 @@ class Sender:
                         continue  # about another message
                     kind, patience = answer.data[0], ANSWER
                     if kind == j1939.ABORT:
-                        reason = WHY.get(answer.data[1], f"reason {answer.data[1]}")
-                        raise DeviceFaultError("J1939", f"node {destination}: {reason}")
+                        reason = answer.data[1]
+                        why = (ABSENCES | FAULTS).get(reason, f"reason {reason}")
+                        error = (
+                            DeviceLostError if reason in ABSENCES else DeviceFaultError
+                        )
+                        raise error("J1939", f"node {destination}: {why}")
                     if kind == j1939.DONE and sent * SIZE >= len(data):
                         return
                     if kind == j1939.CTS and answer.data[1] == 0:

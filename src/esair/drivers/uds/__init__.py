@@ -53,7 +53,12 @@ __all__ = ["IsoTp", "UdsActuator", "UdsSensor"]
 PENDING: Final = 0x78
 """What a unit answers that needs longer."""
 
-_ABSENCES: Final = {0x21: "it is busy", 0x25: "a unit behind it does not answer"}
+_ABSENCES: Final = {
+    0x21: "it is busy",
+    0x25: "a unit behind it does not answer",
+    0x37: "it needs some time before",
+    0x93: "its voltage is too low",
+}
 """What is no answer of the part, though something was said: it may help to wait."""
 
 S3: Final = 5.0
@@ -258,11 +263,13 @@ class UdsActuator(_OnUnit, Actuator[float]):
 
     async def close(self) -> None:
         """Give the output back to the unit, if that still answers."""
-        if self.by == "control" and self.bus.is_open:
-            with contextlib.suppress(EsairError, AttributeError):
-                await self._control(b"\x00")
-        await self._present.leave(self)
-        await super().close()
+        try:
+            await self._present.leave(self)  # first: a close may be cut
+            if self.by == "control" and self.bus.is_open:
+                with contextlib.suppress(EsairError, AttributeError):
+                    await self._control(b"\x00")
+        finally:
+            await super().close()
 
     async def is_set_up(self) -> bool:
         """Tell whether the unit is still in the session; some cannot say."""
