@@ -340,7 +340,7 @@ class Gamepad(Sensor[Pad]):
         self.device = device
         self.dead_man = dead_man
         self.dead_zone = dead_zone
-        self._opener = opener or _open_pad
+        self._opener = opener or _Pad
         self._link: PadLink | None = None
 
     def open(self) -> None:
@@ -409,7 +409,8 @@ class Gamepad(Sensor[Pad]):
 class _Pad:
     """A pad of the kernel, by the package evdev."""
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, device: str) -> None:
+        path = find_pad(device)
         try:
             import evdev
         except ImportError as error:
@@ -441,7 +442,3 @@ class _Pad:
 
     def close(self) -> None:
         self._device.close()
-
-
-def _open_pad(device: str) -> PadLink:
-    return _Pad(find_pad(device))

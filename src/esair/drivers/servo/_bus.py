@@ -7,7 +7,7 @@ import contextlib
 import enum
 import errno
 import math
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 from esair.buses import Wire
@@ -244,73 +244,6 @@ Key = tuple[Kind, int, int]
 """What requests have in common that are made together: its kind, address and size."""
 
 
-class Together:
-    """Gathers requests for the same entry of several servos until their turn.
-
-    What servos are told goes before what they are asked: only that has to wait for them.
-    """
-
-    def __init__(
-        self, make: Callable[[Key, Mapping[int, int]], Awaitable[Made]]
-    ) -> None:
-        self._make = make
-        self._batches: dict[Key, list[tuple[int, int, asyncio.Future[int]]]] = {}
-        self._is_running = False
-
-    async def ask(
-        self, kind: Kind, servo: int, address: int, size: int, value: int = 0
-    ) -> int:
-        """Make a request; one that is cancelled before its turn is not sent."""
-        loop = asyncio.get_running_loop()
-        future: asyncio.Future[int] = loop.create_future()
-        batch = self._batches.setdefault((kind, address, size), [])
-        batch.append((servo, value, future))
-        if not self._is_running:
-            self._is_running = True
-            spawn(loop, self._run(), name="servos together")
-        return await future
-
-    async def _run(self) -> None:
-        try:
-            while self._batches:
-                await self._settled()
-                batches, self._batches = self._batches, {}
-                for key in sorted(batches, key=lambda key: key[0]):
-                    await self._run_batch(key, batches[key])
-        finally:
-            self._is_running = False
-
-    async def _settled(self) -> None:
-        """Wait for what is asked in the same moment, which takes some turns of the loop."""
-        asked, quiet = -1, 0
-        while quiet < QUIET:
-            now = sum(map(len, self._batches.values()))
-            quiet = quiet + 1 if now == asked else 0
-            asked = now
-            await asyncio.sleep(0)
-
-    async def _run_batch(
-        self, key: Key, batch: list[tuple[int, int, asyncio.Future[int]]]
-    ) -> None:
-        live = [each for each in batch if not each[2].done()]
-        if not live:
-            return
-        made: Made
-        asked = {servo: value for servo, value, _ in live}  # the newest wins
-        try:
-            made = await self._make(key, asked)
-        except Exception as error:
-            made = dict.fromkeys(asked, error)
-        for servo, _, future in live:
-            result = made[servo]
-            if future.done():
-                continue
-            if isinstance(result, BaseException):
-                future.set_exception(result)
-            else:
-                future.set_result(result)
-
-
 HARDWARE_ERROR = 70
 
 ANSWER_TIMEOUT: Final = 0.05
@@ -390,7 +323,8 @@ class ServoBus(SerialBus):
             wire=wire,
             **settings,
         )
-        self._together = Together(self._make_requests)
+        self._batches: dict[Key, list[tuple[int, int, asyncio.Future[int]]]] = {}
+        self._is_gathering = False
         self._snapshots: dict[int, tuple[float, Snapshot]] = {}
 
     def packet(self, servo: int, address: int, value: int, size: int = 1) -> bytes:
@@ -414,14 +348,14 @@ class ServoBus(SerialBus):
 
         Errors are those of `ping`; a servo that has shut down is a fault, too.
         """
-        return await self._together.ask(Kind.READ, servo, address, size)
+        return await self._ask(Kind.READ, servo, address, size)
 
     async def write(  # type: ignore[override]  # an entry, as `read`
         self, servo: int, address: int, size: int, value: int
     ) -> None:
         """Change an entry of a servo's control table; args and errors as for `read`."""
         raw = value & (1 << 8 * size) - 1
-        await self._together.ask(Kind.WRITE, servo, address, size, raw)
+        await self._ask(Kind.WRITE, servo, address, size, raw)
 
     async def tell(self, servo: int, address: int, size: int, value: int) -> None:
         """Change an entry without an answer, for which the wire would be turned.
@@ -431,7 +365,7 @@ class ServoBus(SerialBus):
             DriverStuckError: It took too long.
         """
         raw = value & (1 << 8 * size) - 1
-        await self._together.ask(Kind.TELL, servo, address, size, raw)
+        await self._ask(Kind.TELL, servo, address, size, raw)
 
     async def set_up(self, servo: int) -> None:
         """Have a servo tell its `Snapshot` in one block; errors as for `read`."""
@@ -460,17 +394,64 @@ class ServoBus(SerialBus):
         """Return an address, and a size, as a request says them."""
         return b"".join(each.to_bytes(self._word, "little") for each in numbers)
 
-    async def _make_requests(self, key: Key, asked: Mapping[int, int]) -> Made:
+    async def _ask(
+        self, kind: Kind, servo: int, address: int, size: int, value: int = 0
+    ) -> int:
+        """Make a request, with those for the entry that are there in the same moment.
+
+        One that is cancelled before its turn is not sent.
+        """
+        loop = asyncio.get_running_loop()
+        future: asyncio.Future[int] = loop.create_future()
+        batch = self._batches.setdefault((kind, address, size), [])
+        batch.append((servo, value, future))
+        if not self._is_gathering:
+            self._is_gathering = True
+            spawn(loop, self._gather(), name="servos together")
+        return await future
+
+    async def _gather(self) -> None:
+        try:
+            while self._batches:
+                asked, quiet = -1, 0
+                while quiet < QUIET:
+                    before, asked = asked, sum(map(len, self._batches.values()))
+                    quiet = quiet + 1 if asked == before else 0
+                    await asyncio.sleep(0)
+                batches, self._batches = self._batches, {}
+                # What they are told first: only what they are asked waits for them.
+                for key in sorted(batches, key=lambda key: key[0]):
+                    await self._make_batch(key, batches[key])
+        finally:
+            self._is_gathering = False
+
+    async def _make_batch(
+        self, key: Key, batch: list[tuple[int, int, asyncio.Future[int]]]
+    ) -> None:
         """Make requests of one or of several servos for one entry."""
+        live = [each for each in batch if not each[2].done()]
+        if not live:
+            return
+        asked = {servo: value for servo, value, _ in live}  # the newest wins
         if key[0] is Kind.WRITE:
             for servo in asked:
                 self._snapshots.pop(servo, None)
-        made = await self._made(key, asked)
-        if key == (Kind.READ, *self.table.look[:2]):
-            for servo, block in made.items():
-                if isinstance(block, int):
-                    self._snapshots[servo] = now(), self.table.snapshot(block)
-        return made
+        made: Made
+        try:
+            made = await self._made(key, asked)
+        except Exception as error:
+            made = dict.fromkeys(asked, error)
+        for servo, found in made.items():
+            if key == (Kind.READ, *self.table.look[:2]) and isinstance(found, int):
+                self._snapshots[servo] = now(), self.table.snapshot(found)
+        for servo, _, future in live:
+            result = made[servo]
+            if future.done():
+                continue
+            if isinstance(result, BaseException):
+                future.set_exception(result)
+            else:
+                future.set_result(result)
 
     async def _made(self, key: Key, asked: Mapping[int, int]) -> Made:
         kind, address, size = key
@@ -480,10 +461,7 @@ class ServoBus(SerialBus):
             return await self._read_all(address, size, tuple(asked))
         ((servo, value),) = asked.items()
         told = value if kind is Kind.WRITE else None
-        try:
-            return {servo: await self._make_one(servo, address, size, told)}
-        except EsairError as error:
-            return {servo: error}
+        return {servo: await self._make_one(servo, address, size, told)}
 
     async def _make_one(
         self, servo: int, address: int, size: int, value: int | None
