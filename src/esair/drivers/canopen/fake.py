@@ -37,7 +37,8 @@ class FakeCanopenNode:
         can.on_send(self.receive)
         self._refused: dict[tuple[int, int], int] = {}
         known = eds if isinstance(eds, ObjectDictionary) else str(eds)
-        self.local: Any = canopen.LocalNode(node, known)
+        make: Any = canopen.LocalNode  # the package is typed in part
+        self.local: Any = make(node, known)
         self.local.add_read_callback(self._read)
         self.local.add_write_callback(self._write)
         self._network.add_node(self.local)
