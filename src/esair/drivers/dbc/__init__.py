@@ -93,8 +93,6 @@ __all__ = [
     "find_signal",
 ]
 
-NUMBERS = (int, float)
-
 _LARGEST: Final = {16: 65_504.0, 32: (2 - 2**-23) * 2.0**127, 64: sys.float_info.max}
 """The largest number of a floating-point signal, by its bits; IEEE 754."""
 
@@ -174,8 +172,8 @@ class MessageCodec:
 
         A newer frame that selects the same makes an older one obsolete; no other does.
         """
-        names = (name for name in self._multiplexers if name in values)
-        return tuple(self.number(name, values[name]) for name in names)
+        there = filter(values.__contains__, self._multiplexers)
+        return tuple(self.number(name, values[name]) for name in there)
 
     def selected(self, values: Mapping[str, Any]) -> set[str]:
         """Return which signals a frame with these values has.
@@ -198,19 +196,13 @@ def bounds(signal: Signal) -> tuple[float, float]:
     else:
         bits = signal.length - 1 if signal.is_signed else signal.length
         raw = (-(1 << bits) if signal.is_signed else 0, (1 << bits) - 1)
-    low, high = sorted(
-        _number(signal.conversion.raw_to_scaled(each, decode_choices=False))
-        for each in raw
-    )
+    scaled: Any = signal.conversion.raw_to_scaled
+    low, high = sorted(float(scaled(each, decode_choices=False)) for each in raw)
     if signal.minimum is not None:
         low = max(float(signal.minimum), low)
     if signal.maximum is not None:
         high = min(float(signal.maximum), high)
     return low, high
-
-
-def _number(value: Any) -> float:
-    return float(value)
 
 
 def choices_of(signal: Signal) -> dict[int, str]:
@@ -220,9 +212,10 @@ def choices_of(signal: Signal) -> dict[int, str]:
 
 def at_rest(signal: Signal) -> float:
     """What a signal is that nobody commands: its initial value, or the nearest to 0."""
-    if signal.initial is not None and not isinstance(signal.initial, str):
+    initial: Any = signal.initial
+    if not isinstance(initial, str):
         with contextlib.suppress(TypeError, ValueError):
-            return _number(signal.initial)
+            return float(initial)
     low, high = bounds(signal)
     return min(max(0.0, low), high)
 
@@ -521,9 +514,8 @@ class DbcActuator(Actuator[Any]):
         self._id = id_to(self.name, codec.message, source, destination)
         self._in_packets = codec.size > 8 and is_j1939(codec.message)
         if self._in_packets:
-            self.deadline: float = max(
-                self.deadline, seconds_for(codec.size, self._id) + 0.5
-            )
+            needed = seconds_for(codec.size, self._id) + 0.5
+            self.deadline: float = max(self.deadline, needed)
         self._claim: Claim | None = None
         self._own_name: int | None = None
         if j1939_name is not None:
@@ -566,13 +558,10 @@ class DbcActuator(Actuator[Any]):
             and self._free <= self._within.keys()
         ):
             self._limited_only = self._free
-        self._value_type: Any = dict
-        if signal is not None:
-            self._value_type = str if isinstance(safe, str) else float
         alone = None if signal is None else codec.signals[signal]
         self._is_plain = (
             alone is not None
-            and self._value_type is float
+            and self.value_type is float
             and self.limits is not None
             and not (alone.choices or alone.is_multiplexer)
         )
@@ -581,16 +570,17 @@ class DbcActuator(Actuator[Any]):
             self.slew: float | Mapping[str, float] = slew
         for name in self.slew if isinstance(self.slew, Mapping) else ():
             if find_signal(self.name, "slew", codec, name).multiplexer_ids:
-                raise ConfigError(
-                    self.name,
-                    f"slew.{name}",
-                    "it is multiplexed: a command without it has nothing to begin from",
+                told = (
+                    "it is multiplexed: a command without it has nothing to begin from"
                 )
+                raise ConfigError(self.name, f"slew.{name}", told)
 
     @property
     def value_type(self) -> Any:
         """A dictionary of signals, or the type of the only one."""
-        return self._value_type
+        if self.signal is None:
+            return dict
+        return str if isinstance(self.safe, str) else float
 
     def check(self, command: Any) -> None:
         """Refuse a command with which there is no frame: it is encoded on trial.
@@ -601,7 +591,7 @@ class DbcActuator(Actuator[Any]):
         """
         if self._limited_only:
             if command.keys() == self._limited_only and all(
-                type(value) in NUMBERS for value in command.values()
+                type(value) in {int, float} for value in command.values()
             ):
                 return  # as most commands: numbers, each within the limits of the file
         elif self._is_plain:
@@ -685,12 +675,8 @@ class DbcActuator(Actuator[Any]):
         while True:
             await asyncio.sleep(cycle)
             values = self._last
-            if values is None or self._writing:
-                continue
-            if (
-                not self._last_is_safe
-                and loop.time() - self._written >= self.command_timeout
-            ):
+            is_old = loop.time() - self._written >= self.command_timeout
+            if values is None or self._writing or (is_old and not self._last_is_safe):
                 continue
             try:
                 await self._send(values)
@@ -743,16 +729,14 @@ class DbcActuator(Actuator[Any]):
         elif given is None or isinstance(given, Mapping):
             free = dict(given or {})
         else:
-            raise ConfigError(
-                self.name, "limits", f"expected a table by signal, not {given!r:.80}"
-            )
+            told = f"expected a table by signal, not {given!r:.80}"
+            raise ConfigError(self.name, "limits", told)
         for name, limit in free.items():
             field = "limits" if self.signal is not None else f"limits.{name}"
             signal = find_signal(self.name, field, self.codec, name)
             if self.signal is None and signal.multiplexer_ids:
-                raise ConfigError(
-                    self.name, field, "it is multiplexed: it has the limits of the file"
-                )
+                told = "it is multiplexed: it has the limits of the file"
+                raise ConfigError(self.name, field, told)
             by_file[name] = narrowed(self.name, field, limit, bounds(signal))
         if self.signal is not None:
             return by_file.get(self.signal)
@@ -761,17 +745,14 @@ class DbcActuator(Actuator[Any]):
     def _check_safe(self) -> None:
         safe: Any = self.safe
         kind: Any = dict if self.signal is None else float | int | str
+        if not isinstance(safe, kind):
+            expected = "a table of signals" if self.signal is None else "a number"
+            told = f"expected {expected}, not {safe!r:.80}"
+            raise ConfigError(self.name, "safe", told)
         try:
-            if not isinstance(safe, kind):
-                expected = "a table of signals" if self.signal is None else "a number"
-                raise BadValueError(
-                    self.name, "safe", f"expected {expected}, not {safe!r:.80}"
-                )
-            values = self._checked_signals(self._by_name(safe))
-            self._encoded(values)
+            self._encoded(self._checked_signals(self._by_name(safe)))
         except BadValueError as error:
             text = str(error).removeprefix(f"{self.name}: ").removeprefix("command: ")
-            text = text.removeprefix("safe: ")
             raise ConfigError(self.name, "safe", text) from error
 
     def _checked_signals(self, command: Mapping[str, Any]) -> Signals:
@@ -807,8 +788,8 @@ class DbcActuator(Actuator[Any]):
                     self.name, name, f"{value!r:.80} is no choice{hint}"
                 )
             return
-        is_flag = isinstance(value, bool) and signal.length == 1
-        if not isinstance(value, int | float) or (type(value) is bool and not is_flag):
+        is_many = isinstance(value, bool) and signal.length > 1
+        if is_many or not isinstance(value, int | float):
             raise BadValueError(
                 self.name, name, f"expected a number, not {value!r:.80}"
             )
