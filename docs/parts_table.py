@@ -53,7 +53,7 @@ def rows() -> Iterator[tuple[str, str, str, str]]:
         doc = ast.get_docstring(ast.parse(first.read_text(encoding="utf-8"))) or ""
         what = doc.partition("\n")[0].rstrip(".").replace("``", "`")
         if place.parent != DRIVERS:  # a part of the package beside it
-            files += place.parent.glob("_on_*.py")
+            files += place.parent.glob("_[a-z]*.py")
         if "drivers._on_chip" in source:
             files.append(DRIVERS / "_on_chip.py")
         kinds = BUS.findall("".join(file.read_text("utf-8") for file in files))

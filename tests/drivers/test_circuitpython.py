@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import gc
 import importlib
+import re
 import struct
 from collections.abc import Callable
 from typing import Any
@@ -277,6 +278,11 @@ async def test_a_sensor_gives_what_its_part_measures(library: str) -> None:
         bus=FakeI2c(chips={address: make()}),
     )
     assert await called(device, ("read",)) == pytest.approx(wanted, rel=1e-2)
+
+
+def test_twenty_packages_are_tried_unchanged() -> None:
+    """Each by its name: several chips of one package count once."""
+    assert len({re.split("[.:]", each)[0] for each in SENSORS}) >= 20
 
 
 def servo(i2c: Any, address: int) -> Any:

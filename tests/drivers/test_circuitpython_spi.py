@@ -213,6 +213,11 @@ SENSORS: dict[Any, tuple[Callable[[], Any], str, Any]] = {
     _input("MCP3004"): (lambda: Answers(lambda _: b"\0\x02\0"), "value", 0x8000),
     channel: (lambda: Answers(lambda _: b"\0\x02\0"), "value", 0x8000),
     cell: (lambda: Answers(_fram), "value", bytearray(b"\x2a")),
+    "adafruit_stmpe610:Adafruit_STMPE610_SPI": (
+        lambda: SpiRegisters({0x00: 0x08, 0x01: 0x11, 0x4C: 3}),
+        "buffer_size",
+        3,
+    ),
 }
 
 
@@ -248,18 +253,6 @@ async def test_a_sensor_gives_what_its_part_measures(library: Any) -> None:
     device = AdafruitSensor(library=library, chip=1, value=value, bus=bus)
 
     assert await called(device, ("read",)) == pytest.approx(wanted, rel=1e-2)
-
-
-async def test_an_actuator_tells_its_part() -> None:
-    """What is written while it is selected leaves in one transfer, when it is left."""
-    pytest.importorskip("adafruit_tlc5947", reason="adafruit_tlc5947 is not there")
-    bus = FakeSpi(chips={0: Answers(lambda _: b"")})
-    device = AdafruitActuator(library=lamp, chip=0, attribute="value", safe=0, bus=bus)
-
-    await called(device, ("write", 0xABC))
-
-    assert bus.log[-1].sent[-2:] == b"\x0a\xbc"
-    assert len(bus.log[-1].sent) == 36
 
 
 def shifted(spi: Any, select: Any) -> First:
@@ -305,22 +298,27 @@ def pixels(spi: Any, _select: Any) -> Channel:
     return Channel(made)
 
 
-@pytest.mark.parametrize(
-    ("make", "attribute", "command", "sent"),
-    [
-        (shifted, "value", 0xA5, "a5"),
-        (segments, "brightness()", 7, "0a07"),
-        (display, "contrast()", 0x42, "42"),
-        (pixels, "tell()", 0x8001, "8001" + 18 * "00"),
-    ],
-)
-async def test_what_is_told_leaves_as_the_part_wants_it(
-    make: Any, attribute: str, command: int, sent: str
-) -> None:
-    """A register with its latch, and commands of two bytes."""
-    name = {shifted: "74hc595", segments: "max7219", display: "ssd1306"}
-    module = f"adafruit_{name.get(make, 'tlc59711')}"
+def screen(spi: Any, select: Any) -> Any:
+    """A display of an old telephone."""
+    return importlib.import_module("adafruit_pcd8544").PCD8544(spi, Pin(), select)
+
+
+# What makes the part, what is told how, and what leaves then.
+ACTUATORS: dict[str, tuple[Callable[[Any, Any], Any], str, int, str]] = {
+    "adafruit_74hc595": (shifted, "value", 0xA5, "a5"),
+    "adafruit_max7219": (segments, "brightness()", 7, "0a07"),
+    "adafruit_ssd1306": (display, "contrast()", 0x42, "42"),
+    "adafruit_tlc59711": (pixels, "tell()", 0x8001, "8001" + 18 * "00"),
+    "adafruit_pcd8544": (screen, "write_cmd()", 0x0D, "0d"),
+    "adafruit_tlc5947": (lamp, "value", 0xABC, 34 * "00" + "0abc"),
+}
+
+
+@pytest.mark.parametrize("module", ACTUATORS)
+async def test_what_is_told_leaves_as_the_part_wants_it(module: str) -> None:
+    """A register with its latch, commands of two bytes, all outputs in one transfer."""
     pytest.importorskip(module, reason=f"{module} is not there")
+    make, attribute, command, sent = ACTUATORS[module]
     bus = FakeSpi(chips={0: Answers(lambda _: b"")})
     device = AdafruitActuator(
         library=make, chip=0, attribute=attribute, safe=0, bus=bus
@@ -329,6 +327,13 @@ async def test_what_is_told_leaves_as_the_part_wants_it(
     await called(device, ("write", command))
 
     assert bus.log[-1].sent.hex().endswith(sent)
+
+
+def test_twenty_packages_are_tried_unchanged() -> None:
+    """Each by its name: several chips of one package count once."""
+    packages = {package(each).partition(".")[0] for each in SENSORS}
+
+    assert len(packages | ACTUATORS.keys()) >= 20
 
 
 @pytest.mark.fault("D14")

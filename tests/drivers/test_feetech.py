@@ -15,7 +15,7 @@ from tests.drivers.test_servo import Captured
 
 from esair.buses import Wire
 from esair.drivers.servo import Goal, Mode, Servo, ServoPosition
-from esair.drivers.servo._tables import Entry
+from esair.drivers.servo._bus import Entry
 from esair.drivers.servo.fake import SYNC_READ, SYNC_WRITE
 from esair.drivers.servo.fake_feetech import FakeFeetechServos
 from esair.drivers.servo.feetech import FeetechBus

@@ -141,6 +141,11 @@ async def test_each_actuator_obeys(device) -> None:
     )
 
 
+def test_thirty_classes_are_known() -> None:
+    """Each of them is used, or at least looked at, here."""
+    assert len(READS.keys() | TELLS.keys()) >= 30
+
+
 @pytest.mark.parametrize("device", sorted([*INTERNAL, "PingServer"]))
 async def test_what_asks_the_computer_can_be_made(device, tmp_path) -> None:
     """With the arguments of its class; the class is there under that name."""

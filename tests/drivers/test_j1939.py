@@ -20,7 +20,7 @@ from esair.exceptions import (
     DriverStuckError,
 )
 from esair.messages import Access, Policy, ResourceState
-from esair.testing import ActuatorContract
+from esair.testing import ActuatorContract, GatewayContract
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -108,8 +108,16 @@ class OnNode:
         self.node.power_cycle()
 
 
-class TestInPackets(OnNode, ActuatorContract):
+class TestInPackets(OnNode, GatewayContract, ActuatorContract):
     """Asked for leave, and confirmed."""
+
+    async def silence_by_proxy(self, _device: Any) -> None:
+        """A gateway to its network has waited for it in vain."""
+        self.node.reason = 3
+
+    async def speak(self, device: Any) -> None:
+        await super().speak(device)
+        self.node.reason = 0
 
 
 class TestClaimed(OnNode, ActuatorContract):
@@ -293,17 +301,24 @@ async def test_one_node_gets_the_packets_that_it_asks_for(
 
 
 @pytest.mark.parametrize(
-    ("reason", "told"), [(2, "node 5: it has no room"), (77, "node 5: reason 77")]
+    ("reason", "error", "told"),
+    [
+        (1, DeviceLostError, "node 5: it is busy"),
+        (2, DeviceLostError, "node 5: it has no room"),
+        (3, DeviceLostError, "node 5: it waited for too long"),
+        (5, DeviceFaultError, "node 5: packets had to be"),
+        (77, DeviceFaultError, "node 5: reason 77"),
+    ],
 )
 async def test_a_node_may_refuse_a_message(
-    wire: Any, make: Any, reason: int, told: str
+    wire: Any, make: Any, reason: int, error: type[Exception], told: str
 ) -> None:
-    """And says why."""
+    """And says why; busy and silence that a gateway tells of are silence."""
     node = FakeJ1939Node(wire, 0x05)
     node.reason = reason
     device = await opened(packets(make, "One", destination=0x05))
 
-    with pytest.raises(DeviceFaultError, match=told):
+    with pytest.raises(error, match=told):
         await device.write({"first": 1, "last": 2})
     await closed(device)
 

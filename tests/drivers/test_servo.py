@@ -39,7 +39,7 @@ from esair.drivers.servo import (
     to_angle,
     to_steps,
 )
-from esair.drivers.servo._packets import Packets
+from esair.drivers.servo._bus import Packets
 from esair.drivers.servo.fake import (
     PING,
     SYNC_READ,

@@ -20,7 +20,12 @@ from esair.buses import CanBus
 from esair.buses.can import FakeCan
 from esair.drivers.uds import IsoTp, UdsActuator, UdsSensor
 from esair.drivers.uds.fake import FakeUnit
-from esair.exceptions import ConfigError, DeviceFaultError, DriverStuckError
+from esair.exceptions import (
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+)
 from esair.testing import ActuatorContract, GatewayContract, SensorContract
 
 pytestmark = pytest.mark.virtual_clock
@@ -119,6 +124,36 @@ async def test_who_needs_longer_is_waited_for() -> None:
         assert not asking.done()
         with pytest.raises(DriverStuckError):
             await asking
+
+
+@pytest.mark.promise("RES-3")
+@pytest.mark.parametrize("code", [0x21, 0x25, 0x37, 0x93])
+async def test_who_says_that_it_cannot_yet_is_lost(code: int) -> None:
+    """Busy, behind a gateway, in a delay, without power: nothing of it is wrong."""
+    can = FakeCan()
+    unit = FakeUnit(can, VALUES)
+    sensor = UdsSensor(identifier=0xF405, layout="B", bus=can)
+    async with opened(sensor):
+        unit.refuse = code
+        with pytest.raises(DeviceLostError, match="0xf405"):
+            await sensor.read()
+
+
+async def test_a_close_that_is_cut_leaves_no_sign_of_life() -> None:
+    """Else the unit would stay in its session, and keep its output as it was told."""
+    can = FakeCan()
+    unit = FakeUnit(can, VALUES)
+    fan = UdsActuator(identifier=0x0123, layout="B", safe=0.0, bus=can)
+    await can.open()
+    await fan.open()
+    unit.silent = True
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(0.1):
+            await fan.close()
+    can.sent.clear()
+    await asyncio.sleep(10.0)
+    assert not can.sent
+    await can.close()
 
 
 @pytest.mark.parametrize(

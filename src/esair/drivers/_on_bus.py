@@ -102,16 +102,6 @@ async def _in_time(
             ) from None
 
 
-async def hear_first(
-    device: Resource, inbox: Inbox[T], silent_after: float | None
-) -> None:
-    """Wait for a sign of life, if there has to be one."""
-    with inbox:
-        if silent_after is not None:
-            async for _ in heard(device, inbox, silent_after):
-                return
-
-
 def watching(
     device: Resource, inbox: Inbox[Any], signs: AsyncIterator[Any]
 ) -> asyncio.Task[None]:

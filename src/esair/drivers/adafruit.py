@@ -40,7 +40,7 @@ from typing import Any, Required, Self, TypedDict, Unpack
 from esair.buses import I2CBus
 from esair.buses.i2c import SILENT, probe, transfer
 from esair.buses.spi import SpiBus
-from esair.drivers._made import Made, MadeActuator, MadeSensor
+from esair.drivers.object import Made, MadeActuator, MadeSensor, OnObject
 from esair.exceptions import (
     ConfigError,
     DeviceFaultError,
@@ -51,7 +51,6 @@ from esair.exceptions import (
 from esair.loop import now
 from esair.resources import (
     ActuatorSettings,
-    Resource,
     SensorSettings,
 )
 
@@ -282,12 +281,10 @@ class AdafruitSpi(_Wire):
         return back
 
 
-class _OnPart(Resource):
+class _OnPart(OnObject):
     """What the sensor and the actuator have in common: a driver's object on a bus."""
 
     bus: I2CBus | SpiBus
-    deadline: float = 2.0
-    object: Made
 
     def __init__(
         self,

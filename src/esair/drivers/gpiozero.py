@@ -26,7 +26,7 @@ from typing import Any, Final, NamedTuple, TypeVar, Unpack
 
 import gpiozero
 
-from esair.drivers._made import Made, MadeActuator, MadeSensor
+from esair.drivers.object import Arguments, Made, MadeActuator, MadeSensor
 from esair.exceptions import ConfigError
 from esair.resources import (
     HOLD,
@@ -39,7 +39,6 @@ __all__ = ["READS", "TELLS", "Colour", "GpiozeroActuator", "GpiozeroSensor", "To
 
 T = TypeVar("T")
 
-Arguments = Mapping[str, Any] | Sequence[Any] | None
 Limits = tuple[float, float] | Mapping[str, tuple[float, float]] | None
 
 _ADC = "MCP3001 MCP3002 MCP3004 MCP3008 MCP3201 MCP3202 MCP3204 MCP3208"

@@ -188,7 +188,7 @@ class Camera(Sensor[Any]):
         )
         self.dropped: int = 0
         self._request = CameraRequest(device, width, height, fps)
-        self._opener = opener or _open_camera
+        self._opener = opener or _Capture
         self._executor: Executor | None = None
         self._hanging: Executor | None = None
         self._link: CameraLink | None = None
@@ -293,7 +293,8 @@ class _Capture:
 
     pace = 0.0
 
-    def __init__(self, path: str, request: CameraRequest) -> None:
+    def __init__(self, request: CameraRequest) -> None:
+        path = find_camera(request.device)
         try:
             import cv2
         except ImportError as error:
@@ -323,7 +324,3 @@ class _Capture:
 
     def close(self) -> None:
         self._capture.release()
-
-
-def _open_camera(request: CameraRequest) -> CameraLink:
-    return _Capture(find_camera(request.device), request)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import collections
 import concurrent.futures
 import contextlib
 import logging
@@ -10,21 +11,30 @@ import struct
 import threading
 import weakref
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple, Protocol, TypeVar
-
-import canopen
-from canopen.emcy import EMCY_STRUCT, EmcyError
-from canopen.nmt import NmtError
-from canopen.objectdictionary import ObjectDictionary
-from canopen.sdo.client import SdoClient
-from canopen.sdo.constants import ABORT_TIMED_OUT, RESPONSE_ABORTED
-from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
+from typing import Any, Final, NamedTuple, Required, TypedDict, TypeVar
 
 from esair.buses import CanBus, Exchanges, Frame
 from esair.drivers._on_bus import ended, shared
-from esair.exceptions import DeviceFaultError, DeviceLostError, DriverStuckError
+from esair.exceptions import (
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+)
+from esair.loading import of_extra
 from esair.loop import Executor
+from esair.resources import Resource
+from esair.values import check_seconds, check_whole
 from esair.watchdog import can_frame
+
+with of_extra("canopen"):
+    import canopen
+    from canopen.emcy import EMCY_STRUCT, EmcyError
+    from canopen.nmt import NmtError
+    from canopen.objectdictionary import ObjectDictionary
+    from canopen.sdo.client import SdoClient
+    from canopen.sdo.constants import ABORT_TIMED_OUT, RESPONSE_ABORTED
+    from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 ABSENT: Final = frozenset({ABORT_TIMED_OUT, 0x060A0023})
 """Aborts of a gateway that has not reached the node: timed out, no connection left."""
@@ -187,35 +197,13 @@ def sdo_frames(node: int, index: int, subindex: int, data: bytes) -> list[bytes]
     return [can_frame(0x600 + node, abort), can_frame(0x600 + node, write)]
 
 
-class NodeUser(Protocol):
-    """A device on a node, as the node sees it."""
-
-    deadline: float
-    dictionary: ObjectDictionary
-    heartbeat: float | None
-    sdo_timeout: float
-
-    @property
-    def name(self) -> str:
-        """The name of the device."""
-
-    def make_ready(self, remote: Any) -> None:
-        """Tell the node what must be there before it is started, in its thread."""
-
-    def heed(self, emergency: Emergency) -> None:
-        """Be told what the node says in an emergency message."""
-
-    def report_lost(self, error: BaseException | None = None) -> None:
-        """Be told that the node is gone."""
-
-
 class Node:
     """One node on a bus, open while at least one device uses it."""
 
     def __init__(self, bus: CanBus, number: int) -> None:
         self.bus = bus
         self.number = number
-        self.users: set[NodeUser] = set()
+        self.users: set[OnNode] = set()
         self.usable = True
         """Whether devices may still join it; a new one is made otherwise."""
         # Those of the former opening, if there was one: what is owed is owed still.
@@ -236,7 +224,7 @@ class Node:
         """Whether it is open, and neither silent nor started anew."""
         return self._is_open and self.usable
 
-    async def open(self, device: NodeUser) -> None:
+    async def open(self, device: OnNode) -> None:
         """Find the node, compare its identity, start it safely, and watch its heartbeat."""
         async with self.opening:
             if self._is_open:
@@ -267,7 +255,7 @@ class Node:
             self._is_open = True
             self._arm_watch()
 
-    async def leave(self, device: NodeUser) -> None:
+    async def leave(self, device: OnNode) -> None:
         """Forget a device; the last one ends the thread and all listening."""
         self.users.discard(device)
         if self.users:
@@ -286,7 +274,7 @@ class Node:
 
     async def call(
         self,
-        device: NodeUser,
+        device: OnNode,
         function: Callable[..., T],
         *args: Any,
         guard: Callable[[], bool] | None = None,
@@ -330,7 +318,7 @@ class Node:
         except SdoAbortedError:
             return 0.0  # a node without a heartbeat: its loss shows when it is asked
 
-    def _start(self, users: tuple[NodeUser, ...]) -> None:
+    def _start(self, users: tuple[OnNode, ...]) -> None:
         """Have it obey what it was told: that is what is safe; in the thread."""
         for user in users:
             with contextlib.suppress(SdoAbortedError):  # it may take it once it runs
@@ -390,3 +378,87 @@ class Node:
             device.report_lost(
                 DeviceLostError(device.name, f"node {self.number}: {why}")
             )
+
+
+class NodeSettings(TypedDict, total=False):
+    node: Required[int]
+    heartbeat: float | None
+    sdo_timeout: float
+
+
+class OnNode(Resource):
+    """What the devices on a node have in common: they share its opening."""
+
+    dictionary: ObjectDictionary
+    """The objects of the node."""
+
+    emergencies: collections.deque[Emergency]
+    """What the node has told in emergency messages, the newest last; 16 are kept."""
+
+    bus: CanBus
+    deadline: float = 2.0
+
+    def __init__(
+        self,
+        *,
+        node: int,
+        heartbeat: float | None = None,
+        sdo_timeout: float = 0.3,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        self.node: int = check_whole(self.name, "node", node, 1, 127)
+        self.heartbeat = heartbeat
+        if heartbeat is not None and not 0.001 <= heartbeat <= 65.0:
+            raise ConfigError(
+                self.name, "heartbeat", f"expected 0.001 to 65 s, not {heartbeat!r}"
+            )
+        self.sdo_timeout: float = check_seconds(self.name, "sdo_timeout", sdo_timeout)
+        self.emergencies = collections.deque(maxlen=16)
+        self._link: Node | None = None
+
+    async def open(self) -> None:
+        """Open the node."""
+        await self.close()
+        nodes = shared(self.bus, Node)
+        link = nodes.get(self.node)
+        if link is None or not link.usable:
+            link = nodes[self.node] = Node(self.bus, self.node)
+        link.users.add(self)
+        self._link = link
+        await link.open(self)
+
+    async def close(self) -> None:
+        """Leave the node."""
+        link, self._link = self._link, None
+        if link is not None:
+            await link.leave(self)
+
+    async def is_set_up(self) -> bool:
+        """Tell whether the node still runs, as far as its heartbeat shows it."""
+        return self._link is not None and self._link.is_running
+
+    def heed(self, emergency: Emergency) -> None:
+        """Be told what the node says in an emergency message."""
+        self.emergencies.append(emergency)
+
+    def make_ready(self, remote: Any) -> None:
+        """Tell the node what must be there before it is started, in its thread."""
+
+    def _connected(self) -> Node:
+        if self._link is None or self._link.remote is None:
+            raise DeviceLostError(self.name, f"node {self.node} is not open")
+        return self._link
+
+    @property
+    def _remote(self) -> Any:
+        """The node as the package canopen has it."""
+        return self._connected().remote
+
+    async def _call(
+        self,
+        function: Callable[..., T],
+        *args: Any,
+        guard: Callable[[], bool] | None = None,
+    ) -> T:
+        return await self._connected().call(self, function, *args, guard=guard)

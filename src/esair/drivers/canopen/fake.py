@@ -36,7 +36,9 @@ class FakeCanopenNode:
         self._network = _Network(can)
         can.on_send(self.receive)
         self._refused: dict[tuple[int, int], int] = {}
-        self.local: Any = _local_node(node, eds)
+        known = eds if isinstance(eds, ObjectDictionary) else str(eds)
+        make: Any = canopen.LocalNode  # the package is typed in part
+        self.local: Any = make(node, known)
         self.local.add_read_callback(self._read)
         self.local.add_write_callback(self._write)
         self._network.add_node(self.local)
@@ -106,11 +108,6 @@ class FakeCanopenNode:
     def _check(self, index: int, subindex: int) -> None:
         if code := self._refused.get((index, subindex)):
             raise SdoAbortedError(code)
-
-
-def _local_node(node: int, eds: Path | str | ObjectDictionary) -> Any:
-    known = eds if isinstance(eds, ObjectDictionary) else str(eds)
-    return canopen.LocalNode(node, known)  # the package is typed in part
 
 
 class _Network(canopen.Network):

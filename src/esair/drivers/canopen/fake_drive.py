@@ -9,8 +9,8 @@ from typing import Any, Final
 
 from esair.buses import Frame
 from esair.buses.can import FakeCan
-from esair.drivers.canopen import _profile as profile
-from esair.drivers.canopen._profile import State
+from esair.drivers.canopen import drive as profile
+from esair.drivers.canopen.drive import State
 from esair.drivers.canopen.fake import FakeCanopenNode
 
 STEP: Final = 0.005

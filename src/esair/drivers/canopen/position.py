@@ -6,8 +6,8 @@ from typing import Unpack
 
 import attrs
 
-from esair.drivers.canopen import _profile as profile
-from esair.drivers.canopen._on_drive import DriveActuator, DriveActuatorSettings
+from esair.drivers.canopen import drive as profile
+from esair.drivers.canopen.drive import DriveActuator, DriveActuatorSettings
 from esair.resources import Actuator
 
 __all__ = ["Move", "PositionDrive"]

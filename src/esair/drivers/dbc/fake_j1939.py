@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 from esair.buses import Frame
 from esair.buses.can import FakeCan
 from esair.drivers.dbc import _j1939 as j1939
-from esair.drivers.dbc._packets import SIZE
+from esair.drivers.dbc._j1939 import SIZE
 
 REQUEST: Final = 0x18EA_0000
 

@@ -23,7 +23,7 @@ from collections.abc import AsyncIterator
 from typing import Any, ClassVar, TypedDict, Unpack
 
 from esair.buses import Inbox, SerialBus
-from esair.drivers._on_bus import check_bus, hear_first, heard
+from esair.drivers._on_bus import check_bus, heard
 from esair.exceptions import ConfigError, DeviceFaultError
 from esair.framing import Raw
 from esair.resources import (
@@ -168,8 +168,10 @@ class LineSensor(_OnLine, Sensor[float]):
         """Make sure that the board says something, if it has to."""
         if self.ask:
             await self.read()
-        else:
-            await hear_first(self, self._lines(), self.silent_after)
+        elif self.silent_after is not None:
+            with self._lines() as lines:
+                async for _ in heard(self, lines, self.silent_after):
+                    return
 
     async def read(self) -> float:
         """Ask for the value.

@@ -35,9 +35,307 @@ to the bus, which is a `esair.buses.SerialBus`.
 Source: MODBUS Application Protocol V1.1b3.
 """
 
+from __future__ import annotations
+
+from typing import Any, Final, Literal, Required, TypedDict, Unpack, get_args
+
+from esair.buses import SerialBus
+from esair.drivers._on_bus import check_bus
+from esair.exceptions import (
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    describe,
+)
+from esair.framing import ModbusRtu, ModbusTcp
 from esair.loading import of_extra
+from esair.resources import (
+    Actuator,
+    ActuatorSettings,
+    Resource,
+    Sensor,
+    SensorSettings,
+)
+from esair.values import check_choice, check_seconds, check_whole
+from esair.watchdog import SafeFrames
 
 with of_extra("modbus"):
-    from esair.drivers.modbus._devices import ModbusActuator, ModbusSensor
+    from pymodbus.client.mixin import ModbusClientMixin
+    from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
+    from pymodbus.pdu.bit_message import (
+        ReadCoilsRequest,
+        ReadDiscreteInputsRequest,
+        WriteSingleCoilRequest,
+    )
+    from pymodbus.pdu.register_message import (
+        ReadHoldingRegistersRequest,
+        ReadInputRegistersRequest,
+        WriteMultipleRegistersRequest,
+        WriteSingleRegisterRequest,
+    )
 
 __all__ = ["ModbusActuator", "ModbusSensor"]
+
+Table = Literal["holding", "input", "coil", "discrete"]
+"""Registers that can be written and those that cannot; bits of both kinds."""
+
+Kind = Literal[
+    "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"
+]
+"""What one or several registers are."""
+
+_READS: Final[dict[str, Any]] = {
+    "holding": ReadHoldingRegistersRequest,
+    "input": ReadInputRegistersRequest,
+    "coil": ReadCoilsRequest,
+    "discrete": ReadDiscreteInputsRequest,
+}
+_KINDS: Final = {kind.name.lower(): kind for kind in ModbusClientMixin.DATATYPE}
+_FAULTS: Final = {
+    1: "it does not know the function",
+    2: "it has no such register",
+    3: "it does not take the value",
+    4: "it has failed",
+}
+_ABSENCES: Final = {
+    5: "it needs longer",
+    6: "it is busy",
+    10: "the gateway has no way to it",
+    11: "behind the gateway it does not answer",
+}
+"""What is no answer of the unit, though something was said: it may help to wait."""
+
+
+class _OnUnit(Resource):
+    """What the sensor and the actuator have in common: a value of a unit."""
+
+    bus: SerialBus
+    _tables: tuple[str, ...] = get_args(Table)
+
+    def __init__(
+        self,
+        *,
+        unit: int = 1,
+        register: int,
+        table: Table = "holding",
+        type: Kind = "int16",  # noqa: A002 - what everybody calls it
+        word_order: Literal["big", "little"] = "big",
+        factor: float = 1.0,
+        timeout: float = 0.5,
+        **settings: Unpack[SensorSettings],
+    ) -> None:
+        super().__init__(**settings)
+        check_bus(self, SerialBus, ModbusRtu, ModbusTcp)
+        self.unit: int = check_whole(self.name, "unit", unit, 0, 255)
+        self.register: int = check_whole(self.name, "register", register, 0, 0xFFFF)
+        self.table: str = check_choice(self.name, "table", table, self._tables)
+        self.kind: Any = check_choice(self.name, "type", type, get_args(Kind))
+        self.word_order = check_choice(
+            self.name, "word_order", word_order, ("big", "little")
+        )
+        if not factor:
+            raise ConfigError(self.name, "factor", "expected a factor that is not 0")
+        self.factor = factor
+        self.timeout: float = check_seconds(self.name, "timeout", timeout)
+        self.is_bit: bool = table in {"coil", "discrete"}
+        self._type = _KINDS[type]
+        self._decoder = DecodePDU(False)
+
+    @property
+    def value_type(self) -> Any:
+        """A bool in a bit, else a float."""
+        return bool if self.is_bit else float
+
+    @property
+    def _size(self) -> int:
+        return 1 if self.is_bit else int(self._type.value[1])
+
+    def _message(self, request: ModbusPDU) -> bytes:
+        """Return a request as its payload; with a number if the wire has them."""
+        framing = self.bus.framing
+        number = framing.number() if isinstance(framing, ModbusTcp) else b""
+        head: bytes = number + bytes([self.unit, request.function_code])
+        return head + bytes(request.encode())
+
+    async def _ask(self, request: ModbusPDU) -> ModbusPDU:
+        """Make a request and return the answer of the unit, or raise why it refuses."""
+        message = self._message(request)
+        head = message[: len(message) - len(request.encode())]
+        refused = head[:-1] + bytes([head[-1] | 0x80])
+        answer = await self.bus.ask(
+            message, prefix=(head, refused), timeout=self.timeout
+        )
+        try:
+            decoded = self._decoder.decode(answer[len(head) - 1 :])
+        except Exception as error:  # bytes of a stranger
+            raise DeviceFaultError(
+                self.name, f"its answer: {describe(error)}"
+            ) from error
+        if decoded is None:
+            raise DeviceFaultError(self.name, f"its answer is none: {answer.hex()}")
+        if isinstance(decoded, ExceptionResponse):
+            code = decoded.exception_code
+            where = f"unit {self.unit}, {self.table} {self.register}"
+            if code in _ABSENCES:
+                raise DeviceLostError(self.name, f"{where}: {_ABSENCES[code]}")
+            why = _FAULTS.get(code, f"exception {code}")
+            raise DeviceFaultError(self.name, f"{where}: {why}")
+        return decoded
+
+    async def _get(self) -> Any:
+        request = _READS[self.table](address=self.register, count=self._size)
+        answer = await self._ask(request)
+        if self.is_bit:
+            if not answer.bits:
+                raise DeviceFaultError(self.name, "its answer has no bit")
+            return bool(answer.bits[0])
+        if len(answer.registers) != self._size:
+            raise DeviceFaultError(
+                self.name,
+                f"its answer has {len(answer.registers)} registers, not {self._size}",
+            )
+        number: Any = ModbusClientMixin.convert_from_registers(
+            answer.registers, self._type, word_order=self.word_order
+        )
+        return number * self.factor
+
+
+class _UnitSettings(TypedDict, total=False):
+    unit: int
+    register: Required[int]
+    table: Table
+    type: Kind
+    word_order: Literal["big", "little"]
+    factor: float
+    timeout: float
+
+
+class _ActuatorSettings(_UnitSettings, ActuatorSettings): ...
+
+
+class ModbusSensor(_OnUnit, Sensor[Any]):
+    """A value that a unit is asked for: a float, or a bool in a bit.
+
+    Args:
+        unit: The number of the unit; 1 to 247 on a serial line.
+        register: The first register, as it is on the wire: from 0, without the digit
+            that some manuals put before it for the table.
+        table: ``"holding"``, ``"input"``, ``"coil"`` or ``"discrete"``.
+        type: What the registers are, such as ``"int16"`` or ``"float32"``.
+        word_order: Which register of several comes first: that of the high word with
+            ``"big"``.
+        factor: What the number is multiplied with, to come to its unit.
+        timeout: How long the unit may take to answer, in seconds.
+    """
+
+    async def open(self) -> None:
+        """Make sure that the unit answers."""
+        await self.read()
+
+    async def read(self) -> Any:
+        """Ask for the value.
+
+        Raises:
+            DeviceFaultError: It refuses, or answers something else.
+            DeviceLostError: It is busy, or a gateway says that it does not answer.
+            DriverStuckError: Nobody answers.
+        """
+        return await self._get()
+
+
+class ModbusActuator(_OnUnit, Actuator[Any]):
+    """A value that a unit is told, and confirms: a float, or a bool in a coil.
+
+    Args:
+        safe: The value that makes it safe.
+        limits: Narrower limits than those of its type.
+        own_timeout: After how many seconds without a command the unit itself stops.
+        **settings: ``unit``, ``register`` and more, as of a `ModbusSensor`; its ``table``
+            is ``"holding"`` or ``"coil"``.
+    """
+
+    _tables = ("holding", "coil")
+
+    def __init__(
+        self,
+        *,
+        safe: float | bool,
+        limits: tuple[float, float] | None = None,
+        own_timeout: float | None = None,
+        **settings: Unpack[_ActuatorSettings],
+    ) -> None:
+        super().__init__(**settings)
+        self.own_timeout = own_timeout
+        self.claim: str = f"{self.table} {self.register} of unit {self.unit}"
+        if self.is_bit:
+            if not isinstance(safe, bool):
+                raise ConfigError(self.name, "safe", f"expected a bool, not {safe!r}")
+            self.safe = safe
+            return
+        self.safe: Any = float(safe)
+        allowed = self._bounds()
+        self.limits: tuple[float, float] = allowed if limits is None else limits
+        low, high = self.limits
+        if not allowed[0] <= low <= self.safe <= high <= allowed[1]:
+            raise ConfigError(
+                self.name,
+                "limits",
+                f"expected {self.safe:g} within, and {allowed[0]:g} to {allowed[1]:g} at "
+                f"most, not {self.limits!r:.80}",
+            )
+
+    def safe_frames(self) -> SafeFrames:
+        """The safe value, as bytes of a serial line."""
+        message = self._message(self._request(self.safe))
+        # A framing of its own: this may be asked for while an answer comes.
+        return SafeFrames([self.bus.framing.fresh().encode(message)])
+
+    async def open(self) -> None:
+        """Make sure that the unit answers; that it cannot be read is well."""
+        try:
+            await self._get()
+        except DeviceFaultError as fault:
+            if fault.errno is not None:
+                raise
+
+    async def write(self, command: Any) -> None:
+        """Tell the value, and wait until the unit has confirmed it.
+
+        Raises:
+            DeviceFaultError: It refuses, or confirms another value or register.
+            DeviceLostError: It is busy, or a gateway says that it does not answer.
+            DriverStuckError: It does not answer.
+        """
+        request = self._request(command)
+        answer = await self._ask(request)
+        if answer.encode() != request.encode()[:4]:  # where, and what or how many
+            raise DeviceFaultError(
+                self.name, f"it confirms what it was not told: {answer.encode().hex()}"
+            )
+
+    def _request(self, command: Any) -> ModbusPDU:
+        if self.is_bit:
+            return WriteSingleCoilRequest(address=self.register, bits=[bool(command)])
+        number = command / self.factor
+        registers = ModbusClientMixin.convert_to_registers(
+            number if self.kind.startswith("float") else round(number),
+            self._type,
+            word_order=self.word_order,
+        )
+        make: Any = WriteMultipleRegistersRequest
+        if len(registers) == 1:
+            make = WriteSingleRegisterRequest
+        request: ModbusPDU = make(address=self.register, registers=registers)
+        return request
+
+    def _bounds(self) -> tuple[float, float]:
+        if self.kind.startswith("float"):
+            most = 3.4e38 if self.kind == "float32" else 1.7e308
+            least = -most
+        else:
+            bits = 16 * self._size
+            signed = self.kind.startswith("int")
+            most = float((1 << bits - signed) - 1)
+            least = -float(1 << bits - 1) if signed else 0.0
+        low, high = sorted((least * self.factor, most * self.factor))
+        return low, high

@@ -23,7 +23,7 @@ import attrs
 
 from esair.buses import Inbox
 from esair.buses.peer import PeerBus
-from esair.drivers._made import imported
+from esair.drivers.object import imported
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.loop import clock_of
 from esair.messages import Refused

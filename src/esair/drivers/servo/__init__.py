@@ -20,26 +20,33 @@ The bus is one of its own kind, because master and servos take turns on one wire
 A servo goes on to the goal that it has when this computer dies, and holds it.
 """
 
-from esair.loading import of_extra
+from __future__ import annotations
 
-with of_extra("servo"):
-    from esair.drivers.servo._bus import HARDWARE_ERROR, ServoBus, hardware_errors
-    from esair.drivers.servo._servo import (
-        CENTER,
-        GOAL_CURRENT,
-        GOAL_POSITION,
-        GOAL_VELOCITY,
-        OPERATING_MODE,
-        PRESENT_POSITION,
-        PROFILE_VELOCITY,
-        TORQUE_ENABLE,
-        Goal,
-        Mode,
-        Servo,
-        ServoPosition,
-        to_angle,
-        to_steps,
-    )
+import enum
+import math
+from typing import Any, Final, TypeVar, Unpack
+
+import attrs
+
+from esair.drivers._on_bus import check_bus
+from esair.drivers.servo._bus import (
+    HARDWARE_ERROR,
+    Entry,
+    ServoBus,
+    Snapshot,
+    hardware_errors,
+)
+from esair.exceptions import DeviceLostError
+from esair.resources import (
+    Actuator,
+    ActuatorSettings,
+    Resource,
+    Sensor,
+    SensorSettings,
+    setting,
+)
+from esair.values import check_whole
+from esair.watchdog import SafeFrames
 
 __all__ = [
     "CENTER",
@@ -60,3 +67,247 @@ __all__ = [
     "to_angle",
     "to_steps",
 ]
+
+OPERATING_MODE = 11
+TORQUE_ENABLE = 64
+
+GOAL_CURRENT = 102
+GOAL_VELOCITY = 104
+PROFILE_VELOCITY = 112
+GOAL_POSITION = 116
+PRESENT_POSITION = 132
+
+T = TypeVar("T")
+
+LOOKED: Final = 0.02
+"""An answer of that age is as good as a new one to see a restart, in seconds.
+
+A servo takes longer to start. So what is read 50 times a second need not be asked again
+before it is told something: with the 16 ms of an adapter that would halve the rate.
+"""
+
+STEPS: Final = 4096
+"""How many steps a turn has."""
+
+CENTER: Final = 2048
+"""The step in the middle, which is angle 0."""
+
+CURRENT, VELOCITY, POSITION = range(3)
+"""Places in the ``modes`` of a control table."""
+
+
+def to_steps(angle: float) -> int:
+    """Return an angle in rad, counter-clockwise from the middle, in steps."""
+    return round(angle * STEPS / math.tau) + CENTER
+
+
+def to_angle(steps: int) -> float:
+    """Return a position in steps, as 32 bits of a control table, as angle in rad."""
+    signed = steps - (1 << 32) if steps & 0x8000_0000 else steps
+    return (signed - CENTER) * math.tau / STEPS
+
+
+class Mode(enum.Enum):
+    """What a servo shall do."""
+
+    MOVE = "move"
+    HOLD = "hold"
+    RELEASE = "release"
+
+
+@attrs.frozen
+class Goal:
+    """What a servo is told.
+
+    Attributes:
+        angle: Where to go in rad, counter-clockwise from the middle; without meaning
+            unless it moves.
+        mode: Move there and hold it; hold where it is; or release, with no torque.
+    """
+
+    angle: float = 0.0
+    mode: Mode = Mode.MOVE
+
+
+class _OnServo(Resource):
+    """What all that is on a servo has in common."""
+
+    bus: ServoBus
+
+    def __init__(
+        self,
+        *,
+        id: int = 1,  # noqa: A002 - the maker's word
+        **settings: Unpack[SensorSettings],
+    ) -> None:
+        super().__init__(**settings)
+        check_bus(self, ServoBus)
+        self.id: int = check_whole(self.name, "id", id, 0, 252)
+
+
+class ServoPosition(_OnServo, Sensor[float]):
+    """Where a servo is, in rad, counter-clockwise from its middle.
+
+    Args:
+        id: The servo's id, 0 to 252; they come with 1.
+    """
+
+    rate: float = setting(
+        50.0, unit="Hz", min=0.1, max=500.0, doc="how often it is asked"
+    )
+
+    async def open(self) -> None:
+        """Make sure that the servo answers, and can be asked in one turn of the wire."""
+        await self.bus.ping(self.id)
+        await self.bus.set_up(self.id)
+
+    async def read(self) -> float:
+        """Ask where it is.
+
+        Raises:
+            DeviceFaultError: It does not answer, or has shut down.
+            DeviceLostError: It has restarted.
+        """
+        seen = await self.bus.snapshot(self.id)
+        if not seen.is_lit:
+            raise DeviceLostError(self.name, "it has restarted")
+        return (seen.position - CENTER) * math.tau / STEPS
+
+
+class TorquedSettings(ActuatorSettings, total=False):
+    id: int
+
+
+class Torqued(_OnServo, Actuator[T]):
+    """What servos have in common in each mode: a torque, and a light that is lit."""
+
+    mode: int
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.claim: str = f"servo {self.id}"
+        self._torque = False
+
+    async def open(self) -> None:
+        """Make sure that the servo answers, and is in its mode; nothing moves by that."""
+        self._torque = False
+        await self.bus.ping(self.id)
+        table = self.bus.table
+        mode = table.modes[self.mode]
+        assert mode is not None  # its class has refused a bus without it
+        if await self.bus.read(self.id, table.mode, 1) != mode:
+            await self.bus.write(self.id, table.torque, 1, 0)  # else it is refused
+            if table.lock is not None:
+                await self.bus.write(self.id, table.lock, 1, 0)
+            await self.bus.write(self.id, table.mode, 1, mode)
+            if table.lock is not None:
+                await self.bus.write(self.id, table.lock, 1, 1)
+        await self.bus.set_up(self.id)
+
+    async def is_set_up(self) -> bool:
+        """Tell whether it has not restarted: its torque, light or speed would be gone."""
+        return self._is_as_told(await self.bus.snapshot(self.id, max_age=LOOKED))
+
+    def _is_as_told(self, seen: Snapshot) -> bool:
+        return seen.is_lit and (seen.has_torque or not self._torque)
+
+    async def _tell(
+        self, entry: Entry, number: int, *, is_safe: bool, needs_torque: bool
+    ) -> None:
+        """Tell the servo a number, and have it hold that; waits for what is safe."""
+        told = self.id, entry.address, entry.size, entry.pack(number)
+        if self._torque and not is_safe:
+            await self.bus.tell(*told)
+            return
+        await self.bus.write(*told)
+        if needs_torque and not self._torque:
+            # The number went first, so that it does not jump to an old one; and once
+            # more, because some firmware forgets it when the torque comes.
+            await self.bus.write(self.id, self.bus.table.torque, 1, 1)
+            await self.bus.write(*told)
+            self._torque = True
+
+    async def _check_set_up(self) -> None:
+        if not self._is_as_told(await self.bus.snapshot(self.id, max_age=LOOKED)):
+            self._torque = False
+            raise DeviceLostError(self.name, "it has restarted: its torque is off")
+
+
+class _ServoSettings(TorquedSettings, total=False):
+    speed: float
+
+
+class Servo(Torqued[Goal]):
+    """A servo that goes to an angle and holds it.
+
+    Args:
+        id: The servo's id, 0 to 252; they come with 1.
+        safe: What makes it safe: ``Goal(mode=Mode.RELEASE)`` takes the torque away (an
+            arm sinks), ``Goal(mode=Mode.HOLD)`` holds it where it is (a hand stays
+            squeezed). That is a question of the robot, so there is no default.
+        limits: Least and greatest angle, in rad; the whole turn, which ends one step
+            before π, unless given.
+    """
+
+    mode = POSITION
+    speed: float = setting(
+        0.0, unit="rad/s", min=0.0, max=30.0, doc="how fast it moves; 0 for no limit"
+    )
+
+    def __init__(
+        self,
+        *,
+        safe: Goal,
+        limits: tuple[float, float] = (to_angle(0), to_angle(STEPS - 1)),
+        **settings: Unpack[_ServoSettings],
+    ) -> None:
+        super().__init__(**settings)
+        self.safe = safe
+        self._told_speed: int | None = None
+        self.limits = {"angle": tuple(limits)}  # type: ignore[dict-item]
+
+    def safe_frames(self) -> SafeFrames | None:
+        """No torque; None if it has to hold, for which its place must be asked first."""
+        if self.safe.mode is not Mode.RELEASE:
+            return None
+        return SafeFrames([self.bus.packet(self.id, self.bus.table.torque, 0)])
+
+    async def open(self) -> None:
+        """Make sure that the servo answers, and is in its mode; nothing moves by that."""
+        self._told_speed = None
+        await super().open()
+
+    def _is_as_told(self, seen: Snapshot) -> bool:
+        return super()._is_as_told(seen) and self._told_speed in {None, seen.speed}
+
+    async def apply(self, *, speed: float | None = None, **_: object) -> None:
+        """Set how fast it moves."""
+        value = self.speed if speed is None else speed
+        table = self.bus.table
+        units = table.no_limit
+        if value:
+            units = max(1, round(value / table.velocity_unit))
+        self._told_speed = None
+        await self.bus.write(self.id, table.speed.address, table.speed.size, units)
+        self._told_speed = units
+
+    async def write(self, command: Goal) -> None:
+        """Send the goal; the servo rounds it to a step, which is 0.0015 rad.
+
+        Raises:
+            DeviceFaultError: It does not answer, or has shut down.
+            DeviceLostError: It has restarted, its torque is off: the goal was not sent.
+        """
+        table = self.bus.table
+        if command.mode is Mode.RELEASE:
+            self._torque = False
+            await self.bus.write(self.id, table.torque, 1, 0)
+            return
+        await self._check_set_up()
+        if command.mode is Mode.HOLD:
+            steps = (await self.bus.snapshot(self.id)).position
+        else:
+            steps = to_steps(command.angle)
+        await self._tell(
+            table.goal, steps, is_safe=command == self.safe, needs_torque=True
+        )

@@ -1,4 +1,4 @@
-"""The line of the servos: master and servos take turns on one wire."""
+"""The line of the servos: its packets, their tables, and the turns on one wire."""
 
 from __future__ import annotations
 
@@ -7,26 +7,223 @@ import contextlib
 import enum
 import errno
 import math
-from collections.abc import Awaitable, Callable, Mapping
-from typing import Any, Final
-
-from dynamixel_sdk import PacketHandler  # type: ignore[import-untyped]
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
 
 from esair.buses import Wire
 from esair.buses.serial import SerialBus, SerialLink
-from esair.drivers.servo._packets import (
-    PING,
-    READ,
-    STATUS,
-    SYNC_READ,
-    SYNC_WRITE,
-    WRITE,
-    Packets,
-)
-from esair.drivers.servo._tables import DYNAMIXEL_X, Snapshot
 from esair.exceptions import DeviceFaultError, EsairError
-from esair.framing import Framing
+from esair.framing import Framing, LengthCrc
+from esair.loading import of_extra
 from esair.loop import now, spawn
+
+with of_extra("servo"):
+    from dynamixel_sdk import (  # type: ignore[import-untyped]
+        PacketHandler,
+        Protocol2PacketHandler,
+    )
+
+PING, READ, WRITE, STATUS = 0x01, 0x02, 0x03, 0x55
+SYNC_READ, SYNC_WRITE = 0x82, 0x83
+
+_HEADER: Final = b"\xff\xff\xfd"
+_crc: Any = Protocol2PacketHandler().updateCRC
+
+
+class Packets(LengthCrc):
+    """Packets of Dynamixel's protocol 2.0: a payload is id, instruction, parameters.
+
+    A header within them is stuffed; the checksum is that of the maker's package.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(
+            sync=_HEADER + b"\0",
+            header=1,
+            length_size=2,
+            byteorder="little",
+            counted=2,
+            max_length=1024,
+        )
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take the bytes that arrived; return the payloads that are complete now."""
+        return [each.replace(_HEADER + b"\xfd", _HEADER) for each in super().feed(data)]
+
+    def encode(self, payload: bytes) -> bytes:
+        """Return the whole packet."""
+        return super().encode(payload.replace(_HEADER, _HEADER + b"\xfd"))
+
+    def _told(self, covered: bytes | bytearray) -> bytes:
+        whole = self.sync + covered
+        return int(_crc(0, whole, len(whole))).to_bytes(2, "little")
+
+
+FEETECH: Final = LengthCrc(sync="FF FF", header=1, counted=1, crc="sum-8/inverted")
+"""Packets of Feetech, which are those of Dynamixel's protocol 1."""
+
+
+class Entry(NamedTuple):
+    """A number in a servo's control table.
+
+    Attributes:
+        address: Its first byte.
+        size: How many bytes it has.
+        has_sign_bit: Whether its highest bit is its sign; else it is a two's complement.
+    """
+
+    address: int
+    size: int
+    has_sign_bit: bool = False
+
+    def pack(self, number: int) -> int:
+        """Return a number as the table has it."""
+        bits = 8 * self.size
+        if not self.has_sign_bit:
+            return number & (1 << bits) - 1
+        if abs(number) >> (bits - 1):
+            raise OverflowError(f"{number} has more than {bits - 1} bits")
+        return abs(number) | (number < 0) << (bits - 1)
+
+    def unpack(self, raw: int) -> int:
+        """Return the number that the table has."""
+        sign = 1 << (8 * self.size - 1)
+        if self.has_sign_bit:
+            return -(raw & ~sign) if raw & sign else raw
+        return raw - 2 * sign if raw & sign else raw
+
+
+class Snapshot(NamedTuple):
+    """What one answer of a servo tells: where it is, and whether it has restarted.
+
+    Attributes:
+        has_torque: Whether it holds its goal.
+        is_lit: Whether its light is lit, which a restart puts out; True if it has none.
+        position: Where it is, in steps.
+        speed: How fast it goes to its goal, in units of its table.
+    """
+
+    has_torque: bool
+    is_lit: bool
+    position: int
+    speed: int
+
+
+class Table(NamedTuple):
+    """The entries of a servo's control table that are used here.
+
+    Attributes:
+        torque: Whether it holds its goal.
+        mode: Its mode of operation.
+        modes: The values of that for a current, a velocity and a position; None if it
+            has no such mode.
+        goal: Where it goes.
+        position: Where it is.
+        velocity: How fast it turns in velocity mode.
+        speed: How fast it goes to its goal.
+        velocity_unit: The unit of both in rad/s.
+        no_limit: The speed that is none.
+        current: How hard it pushes in current mode; None if it has no such mode.
+        current_unit: The unit of that in A, unless its model has another.
+        errors: The bits of why it has shut down.
+        look: What is read for a `Snapshot`: its entries, as they are in one block.
+        mapped: Where the addresses of the bytes of that block are put; None if they are
+            there by themselves.
+        light: Its light, which a restart puts out; None if it has none.
+        lock: What keeps its mode from being changed; None if nothing does.
+    """
+
+    torque: int
+    mode: int
+    modes: tuple[int | None, int, int]
+    goal: Entry
+    position: Entry
+    velocity: Entry
+    speed: Entry
+    velocity_unit: float
+    errors: int
+    look: Entry
+    no_limit: int = 0
+    current: Entry | None = None
+    current_unit: float = 0.0
+    mapped: int | None = None
+    light: int | None = None
+    lock: int | None = None
+
+    @property
+    def places(self) -> list[int]:
+        """The addresses of the bytes of the block."""
+        if self.mapped is None:
+            return [*range(self.look.address, self.look.address + self.look.size)]
+        assert self.light is not None
+        entries = (
+            Entry(self.torque, 1),
+            Entry(self.light, 1),
+            self.position,
+            self.speed,
+        )
+        return [each.address + n for each in entries for n in range(each.size)]
+
+    def snapshot(self, block: int) -> Snapshot:
+        """Return what a block tells."""
+        places = self.places
+        data = block.to_bytes(self.look.size, "little")
+
+        def number(entry: Entry) -> int:
+            at = places.index(entry.address)
+            raw = int.from_bytes(data[at : at + entry.size], "little")
+            return entry.unpack(raw)
+
+        return Snapshot(
+            has_torque=bool(number(Entry(self.torque, 1))),
+            is_lit=self.light is None or bool(number(Entry(self.light, 1))),
+            position=number(self.position),
+            speed=number(self.speed),
+        )
+
+
+DYNAMIXEL_X: Final = Table(
+    torque=64,
+    mode=11,
+    modes=(0, 1, 3),
+    goal=Entry(116, 4),
+    position=Entry(132, 4),
+    velocity=Entry(104, 4),
+    speed=Entry(112, 4),
+    velocity_unit=0.229 * math.tau / 60,
+    errors=70,
+    look=Entry(224, 10),
+    current=Entry(102, 2),
+    current_unit=0.00269,
+    mapped=168,
+    light=65,
+)
+"""The X series of ROBOTIS: the control table of the XL430-W250."""
+
+FEETECH_STS: Final = Table(
+    torque=40,
+    mode=33,
+    modes=(None, 1, 0),
+    goal=Entry(42, 2, has_sign_bit=True),
+    position=Entry(56, 2, has_sign_bit=True),
+    velocity=Entry(46, 2, has_sign_bit=True),
+    speed=Entry(46, 2, has_sign_bit=True),
+    velocity_unit=math.tau / 4096,
+    errors=65,
+    look=Entry(40, 18),
+    lock=55,
+)
+"""The STS and SMS series of Feetech: the memory table of the STS3215."""
+
+FEETECH_HLS: Final = FEETECH_STS._replace(
+    modes=(2, 1, 0),
+    velocity_unit=0.732 * math.tau / 60,
+    no_limit=0x7FFF,
+    current=Entry(44, 2, has_sign_bit=True),
+    current_unit=0.0065,
+)
+"""The HLS series of Feetech, which has a current mode; a speed of 0 stops it."""
+
 
 QUIET = 3
 """For how many turns of the loop nothing is asked before what was asked leaves."""
@@ -45,73 +242,6 @@ class Kind(enum.IntEnum):
 
 Key = tuple[Kind, int, int]
 """What requests have in common that are made together: its kind, address and size."""
-
-
-class Together:
-    """Gathers requests for the same entry of several servos until their turn.
-
-    What servos are told goes before what they are asked: only that has to wait for them.
-    """
-
-    def __init__(
-        self, make: Callable[[Key, Mapping[int, int]], Awaitable[Made]]
-    ) -> None:
-        self._make = make
-        self._batches: dict[Key, list[tuple[int, int, asyncio.Future[int]]]] = {}
-        self._is_running = False
-
-    async def ask(
-        self, kind: Kind, servo: int, address: int, size: int, value: int = 0
-    ) -> int:
-        """Make a request; one that is cancelled before its turn is not sent."""
-        loop = asyncio.get_running_loop()
-        future: asyncio.Future[int] = loop.create_future()
-        batch = self._batches.setdefault((kind, address, size), [])
-        batch.append((servo, value, future))
-        if not self._is_running:
-            self._is_running = True
-            spawn(loop, self._run(), name="servos together")
-        return await future
-
-    async def _run(self) -> None:
-        try:
-            while self._batches:
-                await self._settled()
-                batches, self._batches = self._batches, {}
-                for key in sorted(batches, key=lambda key: key[0]):
-                    await self._run_batch(key, batches[key])
-        finally:
-            self._is_running = False
-
-    async def _settled(self) -> None:
-        """Wait for what is asked in the same moment, which takes some turns of the loop."""
-        asked, quiet = -1, 0
-        while quiet < QUIET:
-            now = sum(map(len, self._batches.values()))
-            quiet = quiet + 1 if now == asked else 0
-            asked = now
-            await asyncio.sleep(0)
-
-    async def _run_batch(
-        self, key: Key, batch: list[tuple[int, int, asyncio.Future[int]]]
-    ) -> None:
-        live = [each for each in batch if not each[2].done()]
-        if not live:
-            return
-        made: Made
-        asked = {servo: value for servo, value, _ in live}  # the newest wins
-        try:
-            made = await self._make(key, asked)
-        except Exception as error:
-            made = dict.fromkeys(asked, error)
-        for servo, _, future in live:
-            result = made[servo]
-            if future.done():
-                continue
-            if isinstance(result, BaseException):
-                future.set_exception(result)
-            else:
-                future.set_result(result)
 
 
 HARDWARE_ERROR = 70
@@ -193,7 +323,8 @@ class ServoBus(SerialBus):
             wire=wire,
             **settings,
         )
-        self._together = Together(self._make_requests)
+        self._batches: dict[Key, list[tuple[int, int, asyncio.Future[int]]]] = {}
+        self._is_gathering = False
         self._snapshots: dict[int, tuple[float, Snapshot]] = {}
 
     def packet(self, servo: int, address: int, value: int, size: int = 1) -> bytes:
@@ -217,14 +348,14 @@ class ServoBus(SerialBus):
 
         Errors are those of `ping`; a servo that has shut down is a fault, too.
         """
-        return await self._together.ask(Kind.READ, servo, address, size)
+        return await self._ask(Kind.READ, servo, address, size)
 
     async def write(  # type: ignore[override]  # an entry, as `read`
         self, servo: int, address: int, size: int, value: int
     ) -> None:
         """Change an entry of a servo's control table; args and errors as for `read`."""
         raw = value & (1 << 8 * size) - 1
-        await self._together.ask(Kind.WRITE, servo, address, size, raw)
+        await self._ask(Kind.WRITE, servo, address, size, raw)
 
     async def tell(self, servo: int, address: int, size: int, value: int) -> None:
         """Change an entry without an answer, for which the wire would be turned.
@@ -234,7 +365,7 @@ class ServoBus(SerialBus):
             DriverStuckError: It took too long.
         """
         raw = value & (1 << 8 * size) - 1
-        await self._together.ask(Kind.TELL, servo, address, size, raw)
+        await self._ask(Kind.TELL, servo, address, size, raw)
 
     async def set_up(self, servo: int) -> None:
         """Have a servo tell its `Snapshot` in one block; errors as for `read`."""
@@ -263,17 +394,64 @@ class ServoBus(SerialBus):
         """Return an address, and a size, as a request says them."""
         return b"".join(each.to_bytes(self._word, "little") for each in numbers)
 
-    async def _make_requests(self, key: Key, asked: Mapping[int, int]) -> Made:
+    async def _ask(
+        self, kind: Kind, servo: int, address: int, size: int, value: int = 0
+    ) -> int:
+        """Make a request, with those for the entry that are there in the same moment.
+
+        One that is cancelled before its turn is not sent.
+        """
+        loop = asyncio.get_running_loop()
+        future: asyncio.Future[int] = loop.create_future()
+        batch = self._batches.setdefault((kind, address, size), [])
+        batch.append((servo, value, future))
+        if not self._is_gathering:
+            self._is_gathering = True
+            spawn(loop, self._gather(), name="servos together")
+        return await future
+
+    async def _gather(self) -> None:
+        try:
+            while self._batches:
+                asked, quiet = -1, 0
+                while quiet < QUIET:
+                    before, asked = asked, sum(map(len, self._batches.values()))
+                    quiet = quiet + 1 if asked == before else 0
+                    await asyncio.sleep(0)
+                batches, self._batches = self._batches, {}
+                # What they are told first: only what they are asked waits for them.
+                for key in sorted(batches, key=lambda key: key[0]):
+                    await self._make_batch(key, batches[key])
+        finally:
+            self._is_gathering = False
+
+    async def _make_batch(
+        self, key: Key, batch: list[tuple[int, int, asyncio.Future[int]]]
+    ) -> None:
         """Make requests of one or of several servos for one entry."""
+        live = [each for each in batch if not each[2].done()]
+        if not live:
+            return
+        asked = {servo: value for servo, value, _ in live}  # the newest wins
         if key[0] is Kind.WRITE:
             for servo in asked:
                 self._snapshots.pop(servo, None)
-        made = await self._made(key, asked)
-        if key == (Kind.READ, *self.table.look[:2]):
-            for servo, block in made.items():
-                if isinstance(block, int):
-                    self._snapshots[servo] = now(), self.table.snapshot(block)
-        return made
+        made: Made
+        try:
+            made = await self._made(key, asked)
+        except Exception as error:
+            made = dict.fromkeys(asked, error)
+        for servo, found in made.items():
+            if key == (Kind.READ, *self.table.look[:2]) and isinstance(found, int):
+                self._snapshots[servo] = now(), self.table.snapshot(found)
+        for servo, _, future in live:
+            result = made[servo]
+            if future.done():
+                continue
+            if isinstance(result, BaseException):
+                future.set_exception(result)
+            else:
+                future.set_result(result)
 
     async def _made(self, key: Key, asked: Mapping[int, int]) -> Made:
         kind, address, size = key
@@ -283,10 +461,7 @@ class ServoBus(SerialBus):
             return await self._read_all(address, size, tuple(asked))
         ((servo, value),) = asked.items()
         told = value if kind is Kind.WRITE else None
-        try:
-            return {servo: await self._make_one(servo, address, size, told)}
-        except EsairError as error:
-            return {servo: error}
+        return {servo: await self._make_one(servo, address, size, told)}
 
     async def _make_one(
         self, servo: int, address: int, size: int, value: int | None

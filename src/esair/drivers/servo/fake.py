@@ -17,7 +17,7 @@ from esair.drivers.servo import (
     PRESENT_POSITION,
     TORQUE_ENABLE,
 )
-from esair.drivers.servo._packets import (
+from esair.drivers.servo._bus import (
     PING,
     READ,
     STATUS,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from esair.drivers.servo._packets import FEETECH, PING, READ, WRITE
-from esair.drivers.servo._tables import FEETECH_STS
+from esair.drivers.servo._bus import FEETECH, FEETECH_STS, PING, READ, WRITE
 from esair.drivers.servo.fake import FakeServos
 
 TABLE_SIZE = 71

@@ -25,9 +25,7 @@ from __future__ import annotations
 
 from typing import Any, Final, Literal
 
-from esair.drivers.servo._bus import ServoBus
-from esair.drivers.servo._packets import FEETECH
-from esair.drivers.servo._tables import FEETECH_HLS, FEETECH_STS
+from esair.drivers.servo._bus import FEETECH, FEETECH_HLS, FEETECH_STS, ServoBus
 from esair.values import check_choice
 
 _FAULTS = {

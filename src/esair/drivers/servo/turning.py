@@ -15,8 +15,8 @@ from __future__ import annotations
 
 from typing import Unpack
 
-from esair.drivers.servo._servo import CURRENT, VELOCITY, Torqued, TorquedSettings
-from esair.drivers.servo._tables import Entry
+from esair.drivers.servo import CURRENT, VELOCITY, Torqued, TorquedSettings
+from esair.drivers.servo._bus import Entry
 from esair.exceptions import ConfigError
 from esair.watchdog import SafeFrames
 

@@ -1,15 +1,43 @@
-"""An object of a package, by ways such as ``"channels[0].voltage"``: made, used, closed."""
+"""Any object of any package, as a sensor or an actuator.
+
+What reads or sets something by an attribute or a method needs no driver of its own. The
+object is made at each opening and closed at each loss, and used on one worker thread::
+
+    [sensor.water]
+    driver = "object"
+    library = "w1thermsensor:W1ThermSensor"
+    value = "get_temperature()"
+    limits = [-55.0, 125.0]
+
+    [actuator.fan]
+    driver = "object"
+    library = "gpiozero:PWMOutputDevice"
+    arguments = { pin = 17, frequency = 25000 }
+    attribute = "value"
+    safe = 0.0
+    limits = [0.0, 1.0]
+"""
 
 from __future__ import annotations
 
 import ast
 import contextlib
+import functools
 import importlib
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Unpack
 
 from esair.exceptions import ConfigError, DeviceLostError, describe
-from esair.resources import HOLD, Actuator, Resource, Sensor
+from esair.resources import (
+    HOLD,
+    Actuator,
+    ActuatorSettings,
+    Resource,
+    Sensor,
+    SensorSettings,
+)
+
+__all__ = ["Made", "ObjectActuator", "ObjectSensor"]
 
 
 class Path:
@@ -68,14 +96,11 @@ class Path:
 
     def get(self, found: Any) -> Any:
         """Go the way from an object; return what is there."""
-        for kind, what in self._steps:
-            found = _step(found, kind, what)
-        return found
+        return functools.reduce(_step, self._steps, found)
 
     def put(self, found: Any, value: Any) -> None:
         """Go the way; assign a value to its end, or call that with it before all else."""
-        for kind, what in self._steps[:-1]:
-            found = _step(found, kind, what)
+        found = functools.reduce(_step, self._steps[:-1], found)
         kind, what = self._steps[-1]
         if kind == "call":
             told, named = what
@@ -84,7 +109,8 @@ class Path:
             setattr(found, what, value)
 
 
-def _step(found: Any, kind: str, what: Any) -> Any:
+def _step(found: Any, step: tuple[str, Any]) -> Any:
+    kind, what = step
     if kind == "attribute":
         return getattr(found, what)
     if kind == "item":
@@ -240,44 +266,11 @@ class Made:
             raise DeviceLostError(self._owner.name, describe(error)) from error
 
 
-class MadeSensor(Sensor[Any]):
-    """A sensor that is an object of a package: made at each opening."""
+class OnObject(Resource):
+    """What is an object of a package, which is made at each opening."""
 
     deadline: float = 2.0
     object: Made
-    _read: Callable[[], Any]
-
-    def _reads(self, made: Made, value: str | Sequence[str], limits: Any) -> None:
-        """Read a value of an object, or several."""
-        self.object = made
-        self._read = made.reading(value)
-        if limits is not None:
-            self.limits: tuple[float, float] = limits
-
-    def open(self) -> None:
-        """Make the object, and set it up."""
-        self.object.open()
-
-    def close(self) -> None:
-        """Close the object, if it can be closed."""
-        self.object.close()
-
-    def read(self) -> Any:
-        """Read it; on the thread of the object."""
-        return self._read()
-
-
-class MadeActuator(Actuator[Any]):
-    """An actuator that is an object of a package: made at each opening."""
-
-    deadline: float = 2.0
-    object: Made
-    _tell: Callable[[Any], Any]
-
-    @property
-    def value_type(self) -> Any:
-        """The type of the commands."""
-        return float if self.safe is HOLD else type(self.safe)
 
     def open(self) -> None:
         """Make the object, and set it up; nothing moves by it."""
@@ -287,7 +280,105 @@ class MadeActuator(Actuator[Any]):
         """Close the object, if it can be closed."""
         self.object.close()
 
+
+class MadeSensor(OnObject, Sensor[Any]):
+    """A sensor that is an object of a package."""
+
+    _read: Callable[[], Any]
+
+    def _reads(self, made: Made, value: str | Sequence[str], limits: Any) -> None:
+        """Read a value of an object, or several."""
+        self.object = made
+        self._read = made.reading(value)
+        if limits is not None:
+            self.limits: tuple[float, float] = limits
+
+    def read(self) -> Any:
+        """Read it; on the thread of the object."""
+        return self._read()
+
+
+class MadeActuator(OnObject, Actuator[Any]):
+    """An actuator that is an object of a package."""
+
+    _tell: Callable[[Any], Any]
+
+    @property
+    def value_type(self) -> Any:
+        """The type of the commands."""
+        return float if self.safe is HOLD else type(self.safe)
+
     def write(self, command: Any) -> None:
         """Tell it; what is to hold keeps what it was told."""
         if command is not HOLD:
             self._tell(command)
+
+
+class ObjectSensor(MadeSensor):
+    """What an attribute or a method of an object gives.
+
+    Args:
+        library: The class of the object as ``module:Class``, or anything that is called
+            and makes it.
+        value: What is read: an attribute such as ``"temperature"``, a way to one such as
+            ``"channels[0].voltage"``, a call such as ``"read(0)"``. If there are
+            several, a reading is a dictionary of them.
+        arguments: What the class is called with: keywords, or a list of values.
+        set_up: Attributes that are assigned at each opening, by their ways.
+        lost: Errors of the package, as ``module:Error`` or classes, that say that the
+            device is gone rather than at fault. Those of the system (`OSError`) and of
+            time (`TimeoutError`) are known.
+        limits: Least and greatest value; what is outside is a fault of the device.
+    """
+
+    def __init__(
+        self,
+        *,
+        library: str | Callable[..., Any],
+        value: str | Sequence[str],
+        arguments: Arguments = None,
+        set_up: Mapping[str, Any] | None = None,
+        lost: Lost = (),
+        limits: tuple[float, float] | None = None,
+        **settings: Unpack[SensorSettings],
+    ) -> None:
+        super().__init__(**settings)
+        self._reads(Made(self, library, arguments, set_up, lost), value, limits)
+
+
+class ObjectActuator(MadeActuator):
+    """What an attribute of an object is set to, or a method of it is called with.
+
+    Args:
+        library: The class of the object, as of an `ObjectSensor`.
+        attribute: What a command is assigned to, such as ``"value"``; with arguments
+            behind it, such as ``"move()"`` or ``"move(speed=0.5)"``, it is called, the
+            command first.
+        safe: The safe command; commands are of its type. `esair.HOLD`, in a file
+            ``"hold"``, if commands are places to go (numbers then): the object stays
+            where it is.
+        arguments: What the class is called with: keywords, or a list of values.
+        set_up: Attributes that are assigned at each opening, by their ways.
+        lost: Errors of the package that say that the device is gone; as of
+            `ObjectSensor`.
+        limits: Least and greatest command, or of each of its fields.
+    """
+
+    def __init__(
+        self,
+        *,
+        library: str | Callable[..., Any],
+        attribute: str,
+        safe: Any,
+        arguments: Arguments = None,
+        set_up: Mapping[str, Any] | None = None,
+        lost: Lost = (),
+        limits: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None,
+        **settings: Unpack[ActuatorSettings],
+    ) -> None:
+        super().__init__(**settings)
+        self.object = Made(self, library, arguments, set_up, lost)
+        self._tell = self.object.telling(attribute)
+        self.safe: Any = HOLD if safe == "hold" else safe
+        self.limits = limits
+        self.claim: str = f"{attribute} of {library} {arguments or ''}"
