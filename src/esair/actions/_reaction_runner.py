@@ -15,9 +15,8 @@ from typing import Any, ClassVar
 
 import attrs
 
-from esair.actions._outputs import Outputs
+from esair.actions._flow import Input, Outputs, Sampling, Senses
 from esair.actions._reaction import MinimalReaction, Reaction, StepClock
-from esair.actions._senses import Input, Sampling, Senses
 from esair.connections import (
     BLIND,
     ActuatorChannel,

@@ -8,8 +8,7 @@ from typing import Any
 import attrs
 
 from esair.actions import Behavior, Guards, Reaction, Writes
-from esair.plan._finding import Finding, warning
-from esair.plan._plan import Plan
+from esair.plan._plan import Finding, Plan, warning
 from esair.resources import Actuator, Resource
 from esair.values import is_positive
 

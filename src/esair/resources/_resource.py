@@ -15,8 +15,13 @@ import attrs
 
 from esair import abc
 from esair.exceptions import ConfigError, EsairError, describe
-from esair.resources._operation import Operation, operations_of
-from esair.resources._setting import Setting, check_settings, settings_of
+from esair.resources._setting import (
+    Operation,
+    Setting,
+    check_settings,
+    operations_of,
+    settings_of,
+)
 from esair.values import once_for_class
 
 if TYPE_CHECKING:

@@ -59,7 +59,7 @@ from esair.supervisors._life import (
     until_ended,
     where,
 )
-from esair.supervisors._mailbox import Mailbox
+from esair.supervisors._mediator import Mailbox
 from esair.values import check_duration
 
 if TYPE_CHECKING:

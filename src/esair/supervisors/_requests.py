@@ -34,7 +34,7 @@ from esair.loop import Deadline, Portal, current_task_of, spawn, wake, wake_one
 from esair.messages import BehaviorState
 
 if TYPE_CHECKING:
-    from esair.supervisors._mailbox import Mailbox
+    from esair.supervisors._mediator import Mailbox
 
 
 REQUESTS_PER_SENDER = 16  # how many requests of one behavior may wait at a time

@@ -46,8 +46,7 @@ from esair.resources import APPLIED, Actuator, Resource, Sensor
 from esair.supervisors._command_queue import CommandQueue
 from esair.supervisors._control_path import ControlPath, Declared, Rules
 from esair.supervisors._life import side_by_side
-from esair.supervisors._opening import DerivedOpener, Opener
-from esair.supervisors._resource_life import ResourceLife
+from esair.supervisors._resource_life import DerivedOpener, Opener, ResourceLife
 
 if TYPE_CHECKING:
     from esair.buses import Bus
