@@ -366,7 +366,7 @@ async def test_nothing_is_kept_of_requests_that_are_over() -> None:
             assert await a.get("b") == n
             with pytest.raises(esair.BehaviorUnavailableError):
                 await a.get("b", 0.1)
-        assert not robot._behaviors.mediator.pending.of_asker
+        assert not robot._behaviors.mediator.of_asker
 
 
 @pytest.mark.long

@@ -1,20 +1,19 @@
 """Behaviors: the deliberative actions of a robot, and what they ask of their supervisor."""
 
+# mypy: disable-error-code="override, no-any-return"
+
 from __future__ import annotations
 
 import asyncio
-import functools
 import inspect
 import types
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from typing import (
     TYPE_CHECKING,
     Any,
-    Concatenate,
     Final,
     Literal,
     NamedTuple,
-    ParamSpec,
     Protocol,
     TypeVar,
     cast,
@@ -127,11 +126,11 @@ class Behaviors:
 
     async def remove(self, name: str) -> list[Any]:
         """Take a behavior away; see `BehaviorSupervisor.remove`."""
-        return await self._host.manage("remove", name)  # type: ignore[no-any-return]
+        return await self._host.manage("remove", name)
 
     async def replace(self, name: str, behavior: Action) -> list[Any]:
         """Put another in the place of one; see `BehaviorSupervisor.replace`."""
-        return await self._host.manage("replace", name, behavior)  # type: ignore[no-any-return]
+        return await self._host.manage("replace", name, behavior)
 
     async def restart(self, name: str) -> None:
         """End the run of a behavior and begin another; see `BehaviorSupervisor.restart`."""
@@ -328,7 +327,7 @@ class Behavior(ProfiledAction):
             BusyError: Too many requests wait.
             StoppingError: The robot is stopping.
         """
-        return await self._mail.ask(receiver, request, timeout, progress)  # type: ignore[no-any-return]
+        return await self._mail.ask(receiver, request, timeout, progress)
 
     async def receive(
         self, *, timeout: float | None = None, as_type: type[D] | None = None
@@ -565,7 +564,7 @@ class Behavior(ProfiledAction):
 
     def _checked(self, data: Any, wanted: type[T], verb: str, sender: str) -> T:
         if isinstance(data, wanted) or passes_as(data, wanted):
-            return data  # type: ignore[no-any-return]
+            return data
         told = f"expected {type_name(wanted)} from {sender}, not {data!r:.80}"
         raise BadValueError(self.name, verb, told)
 
@@ -579,42 +578,20 @@ def portal_of(behavior: Behavior) -> Portal:
     return found
 
 
-# mypy: disable-error-code="override, no-any-return"
-
-
-R = TypeVar("R")
-P = ParamSpec("P")
-
-
-def waits(
-    method: Callable[Concatenate[Behavior, P], Awaitable[R]],
-) -> Callable[[Any], Callable[Concatenate[Any, P], R]]:
-    """Return a method with the same parameters that waits, in the behavior's thread."""
-
-    @functools.wraps(method)
-    def call(self: Behavior, /, *args: P.args, **options: P.kwargs) -> R:
-        return portal_of(self).call(in_loop, method, self, *args, **options)
-
-    return lambda _declared: call
+def _in_thread(behavior: Behavior) -> tuple[Portal, Behavior]:
+    return portal_of(behavior), behavior
 
 
 class BlockingCalls:
     """What the thread of a behavior calls; parameters and results are those of `Behavior`."""
 
-    @waits(Behavior.put)
-    def put(self) -> None: ...
-
-    @waits(Behavior.get)
-    def get(self) -> None: ...
-
-    @waits(Behavior.ask)
-    def ask(self) -> None: ...
-
-    @waits(Behavior.receive)
-    def receive(self) -> None: ...
-
-    @waits(Behavior.receive_from)
-    def receive_from(self) -> None: ...
+    put: Final = waits(Behavior.put, _in_thread)
+    get: Final = waits(Behavior.get, _in_thread)
+    ask: Final = waits(Behavior.ask, _in_thread)
+    receive: Final = waits(Behavior.receive, _in_thread)
+    receive_from: Final = waits(Behavior.receive_from, _in_thread)
+    offer: Final = calls(Behavior.offer, _in_thread)
+    stop_robot: Final = waits(Behavior.stop_robot, _in_thread)
 
     @overload
     def perform(
@@ -631,13 +608,6 @@ class BlockingCalls:
     def perform(self: Any, reaction: Any, **terms: Any) -> Any:
         """Run a reaction or another behavior as a step; see `Behavior.perform`."""
         return portal_of(self).call(in_loop, Behavior.perform, self, reaction, **terms)
-
-    @waits(Behavior.stop_robot)
-    def stop_robot(self) -> None: ...
-
-    def offer(self: Any, data: Any, *, latest: bool = False) -> None:
-        """Lay data out for a `get` of others; see `Behavior.offer`."""
-        portal_of(self).call(in_loop, Behavior.offer, self, data, latest=latest)
 
     @overload
     def register(

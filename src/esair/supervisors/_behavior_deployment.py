@@ -390,7 +390,7 @@ class BehaviorDeployment:
         for member in (self.members.get(behavior), *self.coming):
             if member is None or member.name != behavior:
                 continue
-            performed = (need for each in member.steps.now for need in each.needs)
+            performed = (need for each in member.steps for need in each.needs)
             for need in itertools.chain(member.action.needs.values(), performed):
                 if need.resource == resource:
                     access |= need.access

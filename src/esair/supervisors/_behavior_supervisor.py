@@ -97,7 +97,7 @@ class BehaviorSupervisor(abc.Supervisor):
 
     def outcomes(self) -> list[Record]:
         """Return how the last requests ended, the oldest first."""
-        return self._deployment.mediator.outcomes()
+        return [Record(*line) for line in self._deployment.mediator.ledger]
 
     async def put(
         self, data: Any, *, sender: str, receiver: str, interval: float = 1.0
@@ -362,9 +362,9 @@ class BehaviorSupervisor(abc.Supervisor):
             await self._deployment.gone(name)
             self._deployment.turns.check_turn(name)
             member = self._deployment.member(name)
-            ending = member.end_run(self._deployment.grace)
+            member.end_run()
             self._commands.changed()
-            await ending
+            await member.run_ended(self._deployment.grace)
             await self._deployment.begin(member)
 
         await self._commands.run(work, name=f"restart {name}", undo=False)

@@ -12,6 +12,8 @@ import sys
 from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from typing import Any
 
+import attrs
+
 from esair.actions import NOTHING, Behavior, Reaction, Takes
 from esair.actions import Request as Asked
 from esair.connections import run_ended
@@ -38,112 +40,72 @@ from esair.supervisors._requests import (
     Outcome,
     Request,
     RequestQueue,
-    ServedQueue,
     chain,
 )
 from esair.values import is_positive
 
 _NO_QUEUES: Mapping[Any, OrderQueue] = {}
 
-_ALIVE = frozenset(
-    {
-        BehaviorState.STARTING,
-        BehaviorState.RUNNING,
-        BehaviorState.PARKED,
-        BehaviorState.FINISHED,
-        BehaviorState.RESTARTING,
-        BehaviorState.RESTING,
-    }
-)
-
-
 _LEAVING = frozenset({BehaviorState.STOPPING, BehaviorState.REMOVED})
 
+_ALIVE = frozenset(BehaviorState) - _LEAVING - {BehaviorState.FAILED}
 
+
+@attrs.define(eq=False, repr=False)
 class Mailbox:
     """What others see of a behavior: its state, what it can receive and give.
 
     It holds what was put for it and what it offers; the mediator fills it.
     """
 
-    __slots__ = (
-        "_mediator",
-        "action",
-        "alive",
-        "askers",
-        "budget",
-        "carriers",
-        "dropped",
-        "error",
-        "inbox",
-        "is_leaving",
-        "is_quick",
-        "latest",
-        "name",
-        "outbox",
-        "outlived",
-        "owner",
-        "queues",
-        "receives",
-        "room",
-        "senders",
-        "state",
-        "takers",
-        "turned_away",
-    )
+    action: Behavior | Reaction
+    _mediator: Mediator
+    name: str
+    owner: Owner
+    room: int = 0
+    outlived: bool = False
+    """Tasks of a run that has ended may be there; they must not speak for it."""
+    carriers: tuple[asyncio.Task[Any], ...] = ()
+    """The tasks that only wait for its threads."""
+    error: BaseException | None = None
+    inbox: list[tuple[str, Any]] = attrs.field(factory=list)  # who put what
+    latest: Any = NOTHING  # what everybody may get again and again
+    outbox: list[Any] = attrs.field(factory=list)
+    dropped: int = 0
+    turned_away: int = 0  # how many requests and offers there was no room for
+    # Puts that wait until it can receive, and gets that wait until it can send.
+    senders: RequestQueue = attrs.field(init=False)
+    askers: RequestQueue = attrs.field(init=False)
+    queues: Mapping[Any, OrderQueue] = _NO_QUEUES
+    """The requests that it takes, by their type."""
+    takers: list[asyncio.Future[None]] | None = None
+    budget: Budget = attrs.field(init=False)
+    state: BehaviorState = BehaviorState.STARTING
+    alive: bool = True
+    is_leaving: bool = False
+    """Whether it is being removed, or has been: its actuators may still be."""
+    is_quick: bool = True
+    receives: bool = False
 
-    def __init__(
-        self,
-        action: Behavior | Reaction,
-        mediator: Mediator,
-        name: str,
-        owner: Owner,
-    ) -> None:
-        self.action: Behavior | Reaction = action
-        self.name: str = name
-        self.room: int = action.inbox_size if isinstance(action, Behavior) else 0
-        self.outlived: bool = False
-        """Tasks of a run that has ended may be there; they must not speak for it."""
-        self.carriers: tuple[asyncio.Task[Any], ...] = ()
-        """The tasks that only wait for its threads."""
-        self.become(BehaviorState.STARTING)
-        self.error: BaseException | None = None
-        self.inbox: list[tuple[str, Any]] = []  # who put what
-        self.latest: Any = NOTHING  # what everybody may get again and again
-        self.outbox: list[Any] = []
-        self.dropped: int = 0
-        self.turned_away: int = 0  # how many requests and offers there was no room for
-        # Puts that wait until it can receive, and gets that wait until it can send.
-        self.senders: RequestQueue = RequestQueue(self)
-        self.askers: ServedQueue = ServedQueue(self, "provide")
-        self.queues: Mapping[Any, OrderQueue] = _NO_QUEUES
-        """The requests that it takes, by their type."""
-        if isinstance(action, Behavior) and action.takes:
-            self.queues = {
-                each.type: OrderQueue(self, each)
-                for each in action.takes.values()
-                if isinstance(each, Takes)
-            }
-        self.takers: list[asyncio.Future[None]] | None = None
-        self.owner: Owner = owner
-        self.budget: Budget = Budget.of(asyncio.get_running_loop())
-        self._mediator = mediator
+    def __attrs_post_init__(self) -> None:
+        self.senders = RequestQueue(self)
+        self.askers = RequestQueue(self, "provide")
+        self.budget = Budget.of(asyncio.get_running_loop())
+        if isinstance(self.action, Behavior):
+            self.room = self.action.inbox_size
+            if takes := self.action.takes:
+                good = [each for each in takes.values() if isinstance(each, Takes)]
+                self.queues = {each.type: OrderQueue(self, each) for each in good}
 
     def become(self, state: BehaviorState) -> None:
-        self.state: BehaviorState = state
-        self.alive: bool = state in _ALIVE
-        self.is_leaving: bool = state in _LEAVING
-        """Whether it is being removed, or has been: its actuators may still be."""
-        self.is_quick: bool = self.alive and not self.outlived
+        self.state = state
+        self.alive = state in _ALIVE
+        self.is_leaving = state in _LEAVING
+        self.is_quick = self.alive and not self.outlived
         is_open = state is BehaviorState.RUNNING
         if self.room and state is BehaviorState.RESTING:
             is_open = self.action.open_at_rest  # type: ignore[union-attr]
-        self.receives: bool = is_open and self.room > 0
-
-    @property
-    def serves(self) -> Request | None:
-        """The get that it makes data for now."""
-        return self.askers.current
+        self.receives = is_open and self.room > 0
 
     def failure(self) -> BehaviorFailedError:
         """Return what whoever needs it gets after it has failed for good."""
@@ -377,7 +339,7 @@ def circle_of_get(
     while trail:
         name, path = trail.pop()
         member = members.get(name)
-        if member is not None and member.serves in links:
+        if member is not None and member.askers.current in links:
             return _path(links, giver) if name == giver else [*path, asker]
         for request in _waits(member, _gets(pending, name)):
             other = request.peer
@@ -399,7 +361,7 @@ def _waits(member: Mailbox | None, gets: list[Request]) -> list[Request]:
     if member is None:
         return gets
     if member.can_provide:
-        serves = member.serves
+        serves = member.askers.current
         return [r for r in gets if serves is not None and r.parent is serves]
     tasks = [request.task for request in gets]
     return gets if gets and _all_wait(member, tasks) else []
@@ -412,7 +374,7 @@ def _is_stuck(
     if member is None:
         return True
     if member.can_provide:
-        return member.serves is not None and member.serves in links
+        return member.askers.current is not None and member.askers.current in links
     tasks = [request.task for request in gets]
     return _all_wait(member, [*tasks, asyncio.current_task()])
 
@@ -527,7 +489,7 @@ class Mediator(Ledger):
         if offered is not NOTHING:
             return offered
         request = Request("get", None, receiver, member.askers, by, self)
-        path = circle_of_get(receiver, sender, self.boxes, self.pending.of_asker)
+        path = circle_of_get(receiver, sender, self.boxes, self.of_asker)
         self._begin(request, interval, path)
         member.askers.roused()
         try:
@@ -603,7 +565,7 @@ class Mediator(Ledger):
 
     def asker_ended(self, member: Mailbox, *, removed: bool = False) -> None:
         """End every request of a behavior whose run has ended, whoever waits in it."""
-        for request in tuple(self.pending.of_asker.get(member.name, ())):
+        for request in tuple(self.of_asker.get(member.name, ())):
             if request.by is member:
                 ended = run_ended(member.name)
                 error = BehaviorRemovedError(member.name) if removed else ended
@@ -638,7 +600,10 @@ class Mediator(Ledger):
         for member in self.boxes.values():
             for queue in _queues(member):
                 if queue.count or queue.working:
-                    queue.end_all(Outcome.STOPPING, _stopping)
+                    queue.end_all(
+                        Outcome.STOPPING,
+                        lambda _: StoppingError("behaviors", "stopping"),
+                    )
 
     # Requests that wait.
 
@@ -676,7 +641,7 @@ class Mediator(Ledger):
         try:
             if path:
                 raise CircularRequestError(path)
-            self.pending.check(request.asker)
+            self.check(request.asker)
             request.queue.push(request)
         except (BusyError, CircularRequestError):
             between = request.asker, request.peer
@@ -684,7 +649,7 @@ class Mediator(Ledger):
                 between = request.peer, request.asker
             self.record(request.kind, *between, Outcome.REFUSED)
             raise
-        self.pending.begin(request)
+        self.begin(request)
         if limit is not None:
             deadlines = Deadlines.of(asyncio.get_running_loop())
             request.deadline = deadlines.after(limit, request.expire, limit)
@@ -698,10 +663,6 @@ def _removed(request: Request) -> BehaviorRemovedError:
     return BehaviorRemovedError(
         request.peer, request.data if request.kind == "put" else None
     )
-
-
-def _stopping(_request: Request) -> StoppingError:
-    return StoppingError("behaviors", "stopping")
 
 
 def _finished(member: Mailbox) -> BehaviorFailedError:
