@@ -10,6 +10,9 @@ import logging
 from collections.abc import Awaitable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import attrs
+
+from esair.actions._needs import Reads
 from esair.connections import (
     ActuatorChannel,
     Decision,
@@ -36,51 +39,33 @@ _log = logging.getLogger("esair")
 EVERY_LIMIT = 256
 """How many readings of ports with ``every=True`` wait for a step; the oldest go."""
 
+Sensing = tuple[SensorChannel, Registration, float | None]
+"""A sensor of a reaction: its channel, the right to it, the greatest age of a reading."""
+
+Moving = tuple[ActuatorChannel, Registration]
+"""An actuator of a reaction: its channel, and the right to it."""
+
 _QUICK = 100.0
 """From this rate on, in Hz, the next step finds soon enough that a reading is too old."""
 
 
+@attrs.define(eq=False, repr=False)
 class Input:
     """One sensor of a running reaction."""
 
-    __slots__ = (
-        "channel",
-        "every",
-        "max_age",
-        "name",
-        "optional",
-        "place",
-        "ready",
-        "registration",
-        "runner",
-        "seen",
-        "senses",
-        "stale_at",
-    )
-
-    def __init__(
-        self,
-        runner: ReactionRunner,
-        name: str,
-        channel: SensorChannel,
-        registration: Registration,
-        max_age: float | None,
-    ) -> None:
-        self.runner: ReactionRunner = runner
-        self.senses: Senses = runner.senses
-        self.name: str = name
-        self.place: int = self.senses.names.index(name)
-        """Where its value is among those of the reaction."""
-        self.channel: SensorChannel = channel
-        self.registration: Registration = registration
-        self.max_age: float | None = max_age
-        """The greatest age of a reading; the sensor's own limit if it is None."""
-        need = runner.reaction.inputs[name]
-        self.optional: bool = need.optional
-        self.every: bool = need.every  # whether each single reading has a step
-        self.seen: int = -1  # how many steps there were when it was fed last
-        self.ready: bool = False
-        self.stale_at: float = NEVER
+    runner: ReactionRunner
+    senses: Senses
+    name: str
+    place: int  # where its value is among those of the reaction
+    optional: bool
+    every: bool  # whether each single reading has a step
+    channel: SensorChannel
+    registration: Registration
+    max_age: float | None
+    """The greatest age of a reading; the sensor's own limit if it is None."""
+    seen: int = -1  # how many steps there were when it was fed last
+    ready: bool = False
+    stale_at: float = NEVER
 
     def feed(self, reading: Reading[Any]) -> None:
         """Take a new reading; the reaction's next step decides on it."""
@@ -154,70 +139,49 @@ class Input:
             self.runner.park(reason)
 
 
+@attrs.define(eq=False, repr=False)
 class Senses:
-    """The newest readings of a reaction, and until when it may decide on them.
+    """The newest readings of a reaction, and until when it may decide on them."""
 
-    Args:
-        runner: What decides.
-        names: The ports that give ``react`` its readings, in the order of its parameters.
-        grace: How many seconds a reading may be older than its limit: timers are early.
-    """
+    _runner: ReactionRunner
+    _needs: Mapping[str, Reads[Any]]
+    names: tuple[str, ...]
+    """The ports that give ``react`` its readings, in the order of its parameters."""
+    grace: float
+    """How many seconds a reading may be older than its limit: timers are early."""
+    _rate: float | None
+    values: list[Any] = attrs.field(init=False)  # the newest, in the order of the names
+    inputs: list[Input] = attrs.field(factory=list)
+    polled: tuple[SensorChannel, ...] | None = None
+    """The sensors that are asked for what is decided on, each once."""
+    is_alone: bool = attrs.field(init=False)
+    on_reading: bool = attrs.field(init=False)  # each new reading has a step
+    missing: int = 0  # how many sensors have no reading that may be used
+    steps: int = 0  # how often was decided on them
+    skipped: int = 0  # how many readings a newer one replaced before a step
+    stale_at: float = NEVER
+    waiting: collections.deque[tuple[int, Any]] | None = None
+    """The readings that wait for a step each, of ports with ``every=True``."""
+    overflow: int = 0  # how many of those were dropped because too many waited
+    _watch: OneShot | None = None
+    _watch_at: float = NEVER
 
-    __slots__ = (
-        "_runner",
-        "_watch",
-        "_watch_at",
-        "_watches",
-        "grace",
-        "inputs",
-        "is_alone",
-        "missing",
-        "names",
-        "on_reading",
-        "overflow",
-        "polled",
-        "skipped",
-        "stale_at",
-        "steps",
-        "values",
-        "waiting",
-    )
-
-    def __init__(
-        self, runner: ReactionRunner, names: tuple[str, ...], grace: float
-    ) -> None:
-        reaction = runner.reaction
-        self._runner = runner
-        self.names: tuple[str, ...] = names
-        self.grace: float = grace
-        self.values: list[Any] = [None] * len(names)
-        """The newest readings, in the order of the names."""
-        self.inputs: list[Input] = []
-        self.polled: tuple[SensorChannel, ...] | None = None
-        """The sensors that are asked for what is decided on, each once."""
-        self.is_alone: bool = len(names) == 1
-        self.on_reading: bool = reaction.rate is None  # each new reading has a step
-        self.missing: int = 0  # how many sensors have no reading that may be used
-        self.steps: int = 0  # how often was decided on them
-        self.skipped: int = (
-            0  # how many readings were replaced by a newer one before a step
-        )
-        self.stale_at: float = NEVER
-        self.waiting: collections.deque[tuple[int, Any]] | None = None
-        """The readings that wait for a step each, of ports with ``every=True``."""
-        if any(need.every for need in reaction.inputs.values()):
+    def __attrs_post_init__(self) -> None:
+        self.values = [None] * len(self.names)
+        self.is_alone = len(self.names) == 1
+        self.on_reading = self._rate is None
+        if self._rate is not None and self._rate >= _QUICK:
+            self._watch_at = -NEVER  # no moment is earlier: it is never watched for
+        if any(need.every for need in self._needs.values()):
             self.waiting = collections.deque()
-        self.overflow: int = 0  # how many of those were dropped because too many waited
-        self._watches = reaction.rate is None or reaction.rate < _QUICK
-        self._watch: OneShot | None = None
-        self._watch_at = NEVER
 
-    def begin(
-        self, inputs: Mapping[str, tuple[SensorChannel, Registration, float | None]]
-    ) -> None:
+    def begin(self, inputs: Mapping[str, Sensing]) -> None:
         """Have these sensors, none of which is heard yet."""
-        kind, runner = self._runner.input_type, self._runner
-        self.inputs = [kind(runner, name, *terms) for name, terms in inputs.items()]
+        kind, runner, needs = self._runner.input_type, self._runner, self._needs
+        for name, terms in inputs.items():
+            need, place = needs[name], self.names.index(name)
+            each = kind(runner, self, name, place, need.optional, need.every, *terms)
+            self.inputs.append(each)
         self.missing = sum(not each.optional for each in self.inputs)
 
     def follow(self, now: float) -> None:
@@ -267,8 +231,7 @@ class Senses:
     def queue(self, place: int, value: Any) -> None:
         """Keep a reading for a step of its own."""
         waiting = self.waiting
-        if waiting is None:
-            return
+        assert waiting is not None
         if len(waiting) >= EVERY_LIMIT:
             waiting.popleft()
             self.overflow += 1
@@ -291,17 +254,13 @@ class Senses:
             self.stale_at = fed.stale_at
         else:
             self.stale_at = min(each.stale_at for each in self.inputs)
-        if self.stale_at < self._watch_at and self._watches:
+        if self.stale_at < self._watch_at:
             self._watch_for_age()
 
     def forget(self) -> None:
         """Compute anew when the first reading becomes stale, after one is gone."""
         self.stale_at = min((each.stale_at for each in self.inputs), default=NEVER)
-        if (
-            self.stale_at < self._watch_at
-            and self._watches
-            and not self._runner.stopped
-        ):
+        if self.stale_at < self._watch_at and not self._runner.stopped:
             self._watch_for_age()
 
     def _watch_for_age(self) -> None:
@@ -412,44 +371,23 @@ def _in_short(sensor: str, error: EsairError) -> str:
     return f"{sensor}: {error}"
 
 
+@attrs.define(eq=False, repr=False)
 class Output:
     """One actuator of a running reaction, and what it decided for it in this turn."""
 
-    __slots__ = (
-        "_outputs",
-        "_sight",
-        "active",
-        "channel",
-        "checked",
-        "command",
-        "decided",
-        "decision",
-        "later",
-        "name",
-        "pending",
-        "registration",
-    )
-
-    def __init__(
-        self,
-        outputs: Outputs,
-        name: str,
-        channel: ActuatorChannel,
-        registration: Registration,
-    ) -> None:
-        self._outputs = outputs
-        self.name: str = name
-        self.channel: ActuatorChannel = channel
-        self.decision: Decision = channel.decision
-        self.registration: Registration = registration
-        self._sight: Sight | None = None
-        self.command: Any = None
-        """What it decided in this turn; None to give the actuator back."""
-        self.checked: Any = None  # the same as it may be sent
-        self.decided: bool = False  # it takes part in the decision of this turn
-        self.active: bool = False  # it may hold the actuator
-        self.pending: bool = False  # a write is on its way
-        self.later: Any = None  # the newest command, while an older one is on its way
+    _outputs: Outputs
+    name: str
+    channel: ActuatorChannel
+    registration: Registration
+    decision: Decision
+    _sight: Sight | None = None
+    command: Any = None
+    """What it decided in this turn; None to give the actuator back."""
+    checked: Any = None  # the same as it may be sent
+    decided: bool = False  # it takes part in the decision of this turn
+    active: bool = False  # it may hold the actuator
+    pending: bool = False  # a write is on its way
+    later: Any = None  # the newest command, while an older one is on its way
 
     def join(self, sensors: tuple[SensorChannel, ...]) -> None:
         """Have a say in what the actuator does, by what these sensors see."""
@@ -566,37 +504,28 @@ class Output:
         self.command = self.later = None
 
 
+@attrs.define(eq=False, repr=False)
 class Outputs:
     """The actuators of a running reaction, and what became of its commands."""
 
-    __slots__ = (
-        "all",
-        "conflated",
-        "refused",
-        "rejected",
-        "runner",
-        "settling",
-        "single",
-    )
+    runner: ReactionRunner
+    all: dict[str, Output] = attrs.field(factory=dict)
+    single: Output | None = None
+    """The only one, if there is but one."""
+    refused: int = 0
+    rejected: int = 0
+    """How many commands were no good, or met a device that is not there."""
+    conflated: int = 0
+    """How many commands were replaced by a newer one before they could leave."""
+    settling: set[asyncio.Task[Any]] = attrs.field(factory=set)
+    """The tasks of writes whose drivers wait."""
 
-    def __init__(self, runner: ReactionRunner) -> None:
-        self.runner: ReactionRunner = runner
-        self.all: dict[str, Output] = {}
-        self.single: Output | None = None
-        """The only one, if there is but one."""
-        self.refused: int = 0
-        self.rejected: int = 0
-        """How many commands were no good, or met a device that is not there."""
-        self.conflated: int = 0
-        """How many commands were replaced by a newer one before they could leave."""
-        self.settling: set[asyncio.Task[Any]] = set()
-        """The tasks of writes whose drivers wait."""
-
-    def begin(
-        self, outputs: Mapping[str, tuple[ActuatorChannel, Registration]]
-    ) -> None:
+    def begin(self, outputs: Mapping[str, Moving]) -> None:
         """Have these actuators from now on."""
-        self.all = {name: Output(self, name, *terms) for name, terms in outputs.items()}
+        self.all = {
+            name: Output(self, name, channel, registration, channel.decision)
+            for name, (channel, registration) in outputs.items()
+        }
         self.single = next(iter(self.all.values())) if len(self.all) == 1 else None
 
     def join(self, polled: tuple[SensorChannel, ...]) -> None:
