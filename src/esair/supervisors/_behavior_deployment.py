@@ -457,6 +457,14 @@ class BehaviorDeployment:
                 self.coming.remove(member)
             _warn_of(process, members)
 
+    async def remove(self, member: Member) -> None:
+        """End one for good, and give its name free; other commands do not wait."""
+        member.mail.become(BehaviorState.STOPPING)
+        self.mediator.peer_removed(member.mail)
+        self.commands.changed()
+        await self.end(member)
+        self.take_out(member)
+
     async def end(self, *members: Member) -> None:
         """End members; what they moved is safe, or the time for both is over."""
         loop = asyncio.get_running_loop()
