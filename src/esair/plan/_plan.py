@@ -202,13 +202,9 @@ class Plan:
     @contextlib.contextmanager
     def as_if(self, resource: object, instead_of: Resource | None) -> Iterator[None]:
         """Have a resource in the table of names while it is examined."""
-        name = name_of(resource)
-        before = None if name is None else self.resource_of.get(name)
-        if (
-            name is None
-            or not isinstance(resource, Resource)
-            or before is not instead_of
-        ):
+        name = name_of(resource) or ""
+        before = self.resource_of.get(name)
+        if not isinstance(resource, Resource) or not name or before is not instead_of:
             yield  # it is no resource, or the name is taken
             return
         self.resource_of[name] = resource

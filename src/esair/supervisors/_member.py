@@ -309,7 +309,8 @@ class Member:
         elif isinstance(self.action, Behavior):
             self.sight.sees()
         if running:
-            self.mail.admit()
+            if self.mail.senders.count:
+                self.mail.admit()
             for queue in (self.mail.askers, *self.mail.queues.values()):
                 if queue.count:
                     queue.roused()
@@ -370,12 +371,12 @@ class Member:
             self.mail.become(BehaviorState.FAILED)
         else:
             self.mail.become(BehaviorState.RESTARTING)
-            if not self.life.restarts.retries:
+            if not self.life.retries:
                 _log.warning(
                     "%s: failed: %s; restart %d in %g s",
                     self.name,
                     describe(error),
-                    self.life.restarts.count,
+                    self.life.restarts,
                     pause,
                     exc_info=raisable(error),
                 )
@@ -474,7 +475,7 @@ class Member:
         self._is_ready()
         self.task = self.gate = None
         self.mail.carriers = ()
-        self.life.restarts.fill()
+        self.life.fill()
         self._cut_off(None)
 
     def _cut_off(self, error: BaseException | None) -> None:
@@ -526,7 +527,7 @@ class Member:
     def counts(self) -> dict[str, int]:
         mail, runner = self.mail, self.runner
         return {
-            "restarts": self.life.restarts.count,
+            "restarts": self.life.restarts,
             "inbox": len(mail.inbox),
             "waiting": mail.senders.count,
             "dropped": mail.dropped,

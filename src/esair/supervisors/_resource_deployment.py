@@ -44,7 +44,7 @@ from esair.messages import (
 from esair.plan import UNWATCHED, Plan, depths, when_alone
 from esair.resources import APPLIED, Actuator, Resource, Sensor
 from esair.supervisors._command_queue import CommandQueue
-from esair.supervisors._control_path import ControlPath, Declared, Rules
+from esair.supervisors._control_path import ControlPath, Declared
 from esair.supervisors._life import side_by_side
 from esair.supervisors._resource_life import DerivedOpener, Opener, ResourceLife
 
@@ -128,21 +128,16 @@ class ResourceDeployment:
         self.lives: dict[str, ResourceLife] = {}
         self._derived: dict[str, DerivedOpener] = {}
         self._leaving: set[str] = set()
-        rules = Rules(policies, registrations, declared, modes.meet)
+        self.control: ControlPath = ControlPath(
+            *(registrations, policies, declared, modes.meet),
+            *(self.lives, self._leaving, sensors, actuators),
+        )
         self.plan: Plan = Plan(
-            policies=tuple(rules.policies.values()),
+            policies=tuple(self.control.policies.values()),
             modes=modes,
-            writers=rules.writers_of,
+            writers=self.control.writers_of,
         )
         """This robot as the rulebook sees it, with its actions: always as it is now."""
-        self.control: ControlPath = ControlPath(
-            registrations,
-            rules,
-            self.lives,
-            self._leaving,
-            sensors,
-            actuators,
-        )
         path = Control(self.control.configure, self.control.operate)
         sensors.control = actuators.control = path
         self._grace = grace

@@ -338,7 +338,7 @@ class ResourceLife:
 
     def restart(self) -> None:
         """Close the device and open it again; its budget is full."""
-        self.life.restarts.fill()
+        self.life.fill()
         if self.tried.done():  # else somebody waits for it: one trial is for all
             self.tried = self._loop.create_future()
         if self.channel.state is ResourceState.READY:
@@ -571,7 +571,7 @@ class ResourceLife:
                 # A replug, or the user's restart, is the way out of it.
                 if not self._arrived:
                     await self._wait_for_news(None)
-                self.life.restarts.fill()
+                self.life.fill()
                 delay = FIRST_DELAY
                 continue
             await self._wait_for_news(
