@@ -178,26 +178,29 @@ def check_settings(
     A name that there is not may have been meant for one of the keywords.
     """
     known = settings_of(type(resource))
+    there = f"there are {', '.join(sorted(known))}" if known else "it has none"
     checked: dict[str, object] = {}
-    mistakes: list[str] = []
-    fields: list[str] = []
+    mistakes: dict[str, str] = {}
     for name, value in changes.items():
         if name not in known:
-            there = f"there are {', '.join(sorted(known))}" if known else "it has none"
             hint = did_you_mean(name, [*known, *keywords]) or f"; {there}"
-            mistakes.append(f"{name}: there is no such setting{hint}")
-            fields.append(name)
+            mistakes[name] = f"there is no such setting{hint}"
             continue
         try:
             checked[name] = known[name].check(resource.name, value)
         except BadValueError as error:
-            mistakes.append(str(error).removeprefix(f"{resource.name}: "))
-            fields.append(name)
+            mistakes[name] = str(error).removeprefix(f"{resource.name}: {name}: ")
     if mistakes:
-        refusal = BadValueError(resource.name, "", "; ".join(mistakes))
-        refusal.field = ", ".join(fields)
-        raise refusal
+        raise _refusal(resource.name, "", mistakes)
     return checked
+
+
+def _refusal(component: str, of: str, mistakes: Mapping[str, str]) -> BadValueError:
+    """Make the error that tells every mistake at once."""
+    told = "; ".join(f"{name}: {text}" for name, text in mistakes.items())
+    refusal = BadValueError(component, of, told)
+    refusal.field = ", ".join(f"{of}.{name}".lstrip(".") for name in mistakes)
+    return refusal
 
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -294,10 +297,7 @@ class Operation:
             if each.required and name not in given:
                 mistakes[name] = f"it is missing; it is {self}"
         if mistakes:
-            told = "; ".join(f"{name}: {text}" for name, text in mistakes.items())
-            refusal = BadValueError(component, self.name, told)
-            refusal.field = ", ".join(f"{self.name}.{name}" for name in mistakes)
-            raise refusal
+            raise _refusal(component, self.name, mistakes)
         return checked
 
     def __str__(self) -> str:
