@@ -203,11 +203,10 @@ class Behavior(ProfiledAction):
     """What a full outbox does: ``"reject"`` raises `BusyError` from `offer`."""
 
     restart: Restart = Restart()
+    """How often it is started again after a crash."""
 
     essential: bool = False
     """Whether the robot ends, with an exit code, when it is FAILED."""
-
-    """How often it is started again after a crash."""
 
     _host = cast("Host", Unbound())
     _mail = cast("Mail", Unbound())
@@ -352,16 +351,8 @@ class Behavior(ProfiledAction):
     ) -> tuple[str, D]:
         """Wait for data as `receive` does.
 
-        Args:
-            timeout: How long to wait, in seconds; None for no limit.
-            as_type: What is expected; for type checkers, and checked when it comes.
-
         Returns:
             Who has put it, and the data.
-
-        Raises:
-            TimeoutError: There was none in time; what comes later waits.
-            BadValueError: It is something else; it is taken all the same.
         """
         sender, data = await self._take(timeout)
         if as_type is not None:

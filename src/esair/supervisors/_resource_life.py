@@ -289,14 +289,16 @@ class ResourceLife:
         self,
         resource: Resource,
         channel: SensorChannel | ActuatorChannel,
-        restart: Restart,
         opener: Opener,
+        seat: Seat | None,
     ) -> None:
         self.resource = resource
         self.name: str = resource.name
-        self.life: Life = Life(resource.name, restart, channel.registrations.journal)
+        restart = getattr(resource, "restart", None)
+        policy = restart if isinstance(restart, Restart) else Restart()
+        self.life: Life = Life(resource.name, policy, channel.registrations.journal)
         self.channel = channel
-        self.seat: Seat | None = None
+        self.seat: Seat | None = seat
         """Its place if its driver runs in a process of its own."""
         self.losses: int = 0
         self.faults: int = 0
