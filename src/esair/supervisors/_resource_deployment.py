@@ -310,7 +310,7 @@ class ResourceDeployment:
             self.came(name, resource, "in its place")
             return new
         finally:
-            if self.lives.get(name) is life and keep:
+            if self.lives.get(name) is life:
                 channel.error = DeviceLostError(name, "nothing took its place")
             self._has_departed(name)
 
