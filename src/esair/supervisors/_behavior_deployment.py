@@ -173,8 +173,7 @@ class Turns:
         ]
         try:
             for member in crew.members.values():
-                misfit = member.misfit() if self._enters(member, mode) else ""
-                if misfit:
+                if self._enters(member, mode) and (misfit := member.misfit()):
                     raise BehaviorFailedError(member.name, misfit)
             for member in entering:
                 member.gate = loop.create_future()
@@ -186,14 +185,18 @@ class Turns:
                 if crew.members.get(member.name) is not member or member.given_up:
                     raise BehaviorRemovedError(member.name)
         except BaseException:
-            left = [m for m in entering if crew.members.get(m.name) is m]
-            left = [m for m in left if not m.mail.is_leaving]
+            left = self._still(entering)
             for member in left:
                 member.rest(self._why(member))
             await crew.rested(*left)
             raise
         crew.commands.no_return()
         await self._take_turns(mode, entering, reason)
+
+    def _still(self, members: list[Member]) -> list[Member]:
+        """Return which of them nobody has removed or replaced, or does."""
+        there = self._crew.members
+        return [m for m in members if there.get(m.name) is m and not m.mail.is_leaving]
 
     def _enters(self, member: Member, mode: str) -> bool:
         return self.rests(member.name) and self.modes.runs(member.name, mode)
@@ -217,11 +220,7 @@ class Turns:
         for member in leaving:
             if member.mail.state is BehaviorState.RESTING:
                 member.sight.rest()
-        entering = [
-            each
-            for each in entering
-            if crew.members.get(each.name) is each and not each.mail.is_leaving
-        ]
+        entering = self._still(entering)
         if crew.commands.is_closed:
             return  # the robot stops: nobody begins
         for member in entering:
@@ -365,14 +364,10 @@ class BehaviorDeployment:
             return
         if self.turns.busy or self.turns.waits:
             return
-        behaviors = [
-            member
-            for member in self.members.values()
-            if isinstance(member.action, Behavior)
-            and member.mail.state is not BehaviorState.RESTING
-        ]
+        members = self.members.values()
+        states = {m.mail.state for m in members if isinstance(m.action, Behavior)}
         over = {BehaviorState.FINISHED, BehaviorState.FAILED, BehaviorState.REMOVED}
-        if behaviors and all(member.mail.state in over for member in behaviors):
+        if states & over and states <= over | {BehaviorState.RESTING}:
             self._all_ended.set_result(None)
 
     def essential_failed(self, failed: BehaviorFailedError) -> None:
@@ -404,14 +399,10 @@ class BehaviorDeployment:
         await asyncio.shield(self._all_ended)
 
     def failures(self) -> list[BehaviorFailedError]:
-        members = self.members.values()
         if self.fatal is not None:
             return [self.fatal]
-        return [
-            each.mail.failure()
-            for each in members
-            if each.mail.state is BehaviorState.FAILED
-        ]
+        boxes = (member.mail for member in self.members.values())
+        return [m.failure() for m in boxes if m.state is BehaviorState.FAILED]
 
     # How one begins, and ends.
 

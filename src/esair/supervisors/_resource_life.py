@@ -332,10 +332,8 @@ class ResourceLife:
         self.resource._listener = self._told  # noqa: SLF001 - the resource's own supervisor
         if self.resource.bus is not None:
             bus: Bus = self.resource.bus
-            self._forget_bus = (
-                bus.on_lost(self._told),
-                bus.on_arrival(lambda: self._told(None)),
-            )
+            arrived = bus.on_arrival(lambda: self._told(None))
+            self._forget_bus = bus.on_lost(self._told), arrived
         self._task = spawn(self._loop, self._live(), name=f"{self.name} life")
 
     def restart(self) -> None:
@@ -455,7 +453,7 @@ class ResourceLife:
             return  # it was removed meanwhile: nobody would close it again
         trying = spawn(self._loop, self._open_once(), name=f"{name} opening")
         self._task = trying
-        seconds = min(LAST_TRY, self._left(until))
+        seconds = min(LAST_TRY, until - self._loop.time())
         await Deadlines.of(self._loop).wait(trying, seconds)
         if not trying.done():
             trying.cancel()
@@ -482,9 +480,6 @@ class ResourceLife:
         if not self.tried.done():
             fail(self.tried, self.channel.error or DeviceLostError(self.name, "closed"))
         await self.device.end(until)
-
-    def _left(self, until: float) -> float:
-        return until - self._loop.time()
 
     def _opened_late(self, call: Call, end: End) -> None:
         """An opening has ended that was given up: the device must not stay open.
@@ -576,9 +571,8 @@ class ResourceLife:
                 self.life.fill()
                 delay = FIRST_DELAY
                 continue
-            await self._wait_for_news(
-                min(pause, FIRST_DELAY) if self._arrived else pause
-            )
+            pause = min(pause, FIRST_DELAY) if self._arrived else pause
+            await self._wait_for_news(pause)
 
     def _first_try(self, error: BaseException | None = None) -> None:
         if not self.tried.done():
