@@ -55,8 +55,8 @@ ONE_CIRCLE = {
 
 PARTS_OF_ONE = {
     "esair.actions": {
-        *("_outputs", "_reaction_runner", "_senses"),
-        *("_blocking", "_needs"),
+        *("_flow", "_reaction_runner"),
+        *("_behavior", "_needs"),
     },
     "esair.loop": {
         *("_deadlines", "_door", "_of_loop", "_scheduler", "_tape", "_turn"),
@@ -68,9 +68,9 @@ PARTS_OF_ONE = {
     "esair.seat": {"_acts", "_operator"},
     "esair.standard": {"_recording", "_robot"},
     "esair.supervisors": {
-        *("_behavior_deployment", "_member", "_grants", "_turns"),
-        *("_mailbox", "_mediator", "_requests"),
-        *("_resource_deployment", "_opening", "_watching"),
+        *("_behavior_deployment", "_member", "_grants"),
+        *("_mediator", "_requests"),
+        *("_resource_deployment", "_resource_life", "_watching"),
     },
     "esair.torture": {"_boxes", "_judge", "_kinds", "_life", "_world"},
 }

@@ -220,14 +220,14 @@ class World:
         """Nothing is lost, doubled or left over (INV1, INV2)."""
         robot = self.robot
         mediator = robot._behaviors.mediator
-        assert mediator.pending.count == 0
-        assert mediator.pending.of_asker == {}
+        assert mediator.pending == 0
+        assert mediator.of_asker == {}
         members = robot._behaviors.members
         for member in members.values():
             assert member.mail.senders.count == member.mail.askers.count == 0
             assert member.mail.askers.task is None
             assert member.mail.takers is None
-            assert not member.steps.now
+            assert not member.steps
             assert member.mail.state in {
                 esair.BehaviorState.RUNNING,
                 esair.BehaviorState.PARKED,

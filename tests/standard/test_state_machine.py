@@ -552,9 +552,12 @@ class SupervisorMachine(RuleBasedStateMachine):
             kind in {"put", "get"} and not task.done() for kind, task in self.flying
         )
         mediator = self.robot._behaviors.mediator
-        assert mediator.pending.count == pending
-        assert sum(map(len, mediator.pending.of_asker.values())) == pending
-        assert all(isinstance(each.outcome, Outcome) for each in mediator.outcomes())
+        assert mediator.pending == pending
+        assert sum(map(len, mediator.of_asker.values())) == pending
+        assert all(
+            isinstance(each.outcome, Outcome)
+            for each in self.robot.behaviors.outcomes()
+        )
 
     @invariant()
     def nobody_moves_what_was_taken_away(self) -> None:

@@ -283,7 +283,7 @@ class AskMachine(RuleBasedStateMachine):
     @invariant()
     def what_waits_is_counted(self) -> None:
         mediator = self.robot._behaviors.mediator
-        assert mediator.pending.count == len(self.pending())
+        assert mediator.pending == len(self.pending())
         members = self.robot._behaviors.members.values()
         waiting = sum(q.count for m in members for q in m.mail.queues.values())
         assert waiting <= len(self.pending())

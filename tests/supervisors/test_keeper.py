@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -440,3 +441,12 @@ def test_its_policies_are_words(fake: type[FakeWatchdog], field: str) -> None:
     with pytest.raises(esair.ConfigError, match="watchdog_limit"):
         robot_with(watchdog_limit=0.0)
     assert fake.made == []
+
+
+async def test_elsewhere_than_on_linux_it_is_refused(
+    fake: type[FakeWatchdog], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody believes to be watched where there is no second process to do it."""
+    monkeypatch.setattr(sys, "platform", "darwin")
+    with pytest.raises(esair.ConfigError, match="expected Linux, not darwin"):
+        robot_with()

@@ -659,7 +659,7 @@ async def test_an_interval_must_be_a_number_of_seconds(interval: Any) -> None:
             await a.put("b", 1, interval=interval)
         with pytest.raises(esair.BadValueError, match="interval"):
             await a.get("b", interval=interval)
-        assert robot._behaviors.mediator.pending.count == 0
+        assert robot._behaviors.mediator.pending == 0
 
 
 @pytest.mark.promise("BS-4")
@@ -1042,7 +1042,7 @@ async def test_a_removed_askers_requests_end_whatever_task_made_them(verb: str) 
         with pytest.raises(esair.BehaviorRemovedError, match="'a'"):
             await request
         assert loop.time() == 0.0
-        assert robot._behaviors.mediator.pending.count == 0
+        assert robot._behaviors.mediator.pending == 0
 
 
 @pytest.mark.promise("BS-5")

@@ -203,7 +203,7 @@ async def test_the_first_end_of_a_performed_reaction_counts() -> None:
     async with esair.Robot(resources=[device, sonar], behaviors=[idle]) as robot:
         performing = asyncio.ensure_future(idle.perform(Follow()))
         await device.until(1.0)
-        (perform,) = robot._behaviors.members["idle"].steps.now
+        (perform,) = robot._behaviors.members["idle"].steps
         perform.end(True)
         perform.end(False)
         perform.crash(RuntimeError("late"))

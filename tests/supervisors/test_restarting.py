@@ -19,8 +19,9 @@ from tests.supervisors.actors import (
 )
 
 import esair
+from esair.journal import Journal
 from esair.plan import examine, failures
-from esair.supervisors._life import RestartBudget
+from esair.supervisors._life import Life
 from esair.testing import FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
@@ -65,7 +66,7 @@ async def test_the_budget_is_for_a_window_of_time() -> None:
 def test_pauses_double_up_to_their_limit() -> None:
     """However many restarts a policy allows, the pause stays within its bounds."""
     policy = esair.Restart(max=2000, within=100.0, delay=0.1, max_delay=5.0)
-    budget = RestartBudget(policy)
+    budget = Life("any", policy, Journal())
     pauses = [budget.spend(0.0) for _ in range(2000)]
 
     assert pauses[:7] == [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0]

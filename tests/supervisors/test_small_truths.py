@@ -13,6 +13,7 @@ from tests.supervisors.actors import Idle, turns
 
 import esair
 from esair import Access
+from esair.journal import Event, Kind
 from esair.supervisors._command_queue import LIMIT, CommandQueue
 from esair.testing import FakeActuator, FakeSensor
 
@@ -516,3 +517,49 @@ async def test_who_registers_as_declared_has_the_same_right() -> None:
         assert again.registration is user.wheels.registration
         other = await user.register("wheels", Access.WRITE)
         assert other.registration is not user.wheels.registration
+
+
+# What people do, and what a sleep of the computer does.
+
+
+@pytest.mark.promise("PRO-9", "PRO-10")
+async def test_a_mute_and_a_reset_are_told() -> None:
+    """Who looks later what people did finds them, with the reason."""
+
+    class Shut(esair.Reaction):
+        rate = 10.0
+        wheels = esair.guards(float, latch=True)
+
+        def react(self, wheels: float) -> None:
+            """Let nothing pass."""
+
+    seen: list[Event] = []
+    wheels = FakeActuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[wheels], behaviors=[Shut()]) as robot:
+        robot.journal.listen(seen.append, kinds=[Kind.OPERATOR])
+        robot.behaviors.mute("shut", 20.0, "a trial")
+        robot.behaviors.reset("shut")
+        await turns()
+    assert [(e.component, e.value, e.text) for e in seen] == [
+        ("shut", 20.0, "mute: a trial"),
+        ("shut", None, "reset"),
+    ]
+
+
+async def test_what_moved_before_the_computer_slept_is_made_safe() -> None:
+    """At once, not when its last command times out."""
+
+    class Drive(esair.Behavior):
+        wheels = esair.writes(float)
+
+        async def run(self) -> None:
+            await self.wheels.write(0.8)
+            await asyncio.sleep(1000.0)
+
+    wheels = FakeActuator("wheels", safe=0.0)
+    wheels.command_timeout = 100.0
+    async with esair.Robot(resources=[wheels], behaviors=[Drive()]) as robot:
+        await wheels.until(0.8)
+        robot._resources.resumed(60.0)
+        await turns()
+        assert wheels.commands[-1] == 0.0

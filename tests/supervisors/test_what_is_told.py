@@ -12,9 +12,9 @@ from tests.supervisors.actors import Idle, turns
 
 import esair
 from esair.buses import Bus
-from esair.journal import Event, Kind
+from esair.journal import Event, Journal, Kind
 from esair.messages import BehaviorState
-from esair.supervisors._life import RestartBudget
+from esair.supervisors._life import Life
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
@@ -130,11 +130,12 @@ async def test_one_that_is_removed_is_stopping_until_it_has_ended() -> None:
 @pytest.mark.fault("B02")
 async def test_a_restart_that_was_asked_for_begins_with_a_full_budget() -> None:
     """Number, pauses and count, all three."""
-    budget = RestartBudget(esair.Restart(max=2, within=10.0, delay=0.5))
+    policy = esair.Restart(max=2, within=10.0, delay=0.5)
+    budget = Life("any", policy, Journal())
     assert [budget.spend(0.0), budget.spend(1.0), budget.spend(2.0)] == [0.5, 4.0, None]
-    assert budget.count == 2
+    assert budget.restarts == 2
     budget.fill()
-    assert budget.count == 0
+    assert budget.restarts == 0
     assert [budget.spend(3.0), budget.spend(4.0), budget.spend(5.0)] == [0.5, 4.0, None]
     assert budget.spend(13.5) == 0.8 * 10.0 / 2  # the one of 4.0 still counts
 
@@ -366,7 +367,7 @@ async def test_nothing_is_kept_of_requests_that_are_over() -> None:
             assert await a.get("b") == n
             with pytest.raises(esair.BehaviorUnavailableError):
                 await a.get("b", 0.1)
-        assert not robot._behaviors.mediator.pending.of_asker
+        assert not robot._behaviors.mediator.of_asker
 
 
 @pytest.mark.long

@@ -104,6 +104,7 @@ VERBS: dict[str, Callable[[Any], Awaitable[object]]] = {
     "remove nobody": lambda me: me.robot.behaviors.remove("nobody"),
     "add nothing": lambda me: me.robot.resources.add(object()),
     "type nonsense": lambda me: me.robot.behaviors.command("nonsense"),
+    "type it elsewhere": lambda me: me.robot.resources.command("nonsense"),
 }
 
 

@@ -14,8 +14,17 @@ What is computed of readings is a sensor that is declared like a reaction (`_der
 request of one behavior to another is typed by what it is answered with (`_requests`).
 """
 
-from esair.actions._behavior import NOTHING, Behavior, Host, Mail, PortTerms
-from esair.actions._blocking import ThreadBehavior, give, run_as_step, take_back
+from esair.actions._behavior import (
+    NOTHING,
+    Behavior,
+    Host,
+    Mail,
+    PortTerms,
+    ThreadBehavior,
+    give,
+    run_as_step,
+    take_back,
+)
 from esair.actions._blocking_ports import (
     BlockingActuatorPort,
     BlockingSensorPort,

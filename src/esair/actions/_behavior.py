@@ -1,8 +1,12 @@
 """Behaviors: the deliberative actions of a robot, and what they ask of their supervisor."""
 
+# mypy: disable-error-code="override, no-any-return"
+
 from __future__ import annotations
 
 import asyncio
+import inspect
+import types
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from typing import (
     TYPE_CHECKING,
@@ -18,13 +22,26 @@ from typing import (
 
 from esair import minimal
 from esair.abc import Action
-from esair.actions._blocking_ports import Waits, calls, waits
-from esair.actions._needs import ProfiledAction, Unbound, not_bound
+from esair.actions._blocking_ports import (
+    BlockingActuatorPort,
+    BlockingSensorPort,
+    Waits,
+    calls,
+    in_loop,
+    waits,
+)
+from esair.actions._needs import Need, ProfiledAction, Unbound, not_bound
 from esair.actions._reaction import Reaction, adapt_action
-from esair.actions._requests import Request, Takes, declared_requests
+from esair.actions._requests import (
+    BlockingRequestPort,
+    Request,
+    RequestPort,
+    Takes,
+    declared_requests,
+)
 from esair.connections import ActuatorPort, Halting, SensorPort, Stopped
-from esair.exceptions import BadValueError, ConfigError
-from esair.loop import PUT_COST, VERB_COST, Budget, Portal, portal
+from esair.exceptions import BadValueError, BehaviorUnavailableError, ConfigError
+from esair.loop import PUT_COST, VERB_COST, Budget, Owner, Portal, portal
 from esair.messages import Access, BehaviorStatus, Restart
 from esair.values import check_duration, passes_as, type_name
 
@@ -109,11 +126,11 @@ class Behaviors:
 
     async def remove(self, name: str) -> list[Any]:
         """Take a behavior away; see `BehaviorSupervisor.remove`."""
-        return await self._host.manage("remove", name)  # type: ignore[no-any-return]
+        return await self._host.manage("remove", name)
 
     async def replace(self, name: str, behavior: Action) -> list[Any]:
         """Put another in the place of one; see `BehaviorSupervisor.replace`."""
-        return await self._host.manage("replace", name, behavior)  # type: ignore[no-any-return]
+        return await self._host.manage("replace", name, behavior)
 
     async def restart(self, name: str) -> None:
         """End the run of a behavior and begin another; see `BehaviorSupervisor.restart`."""
@@ -186,11 +203,10 @@ class Behavior(ProfiledAction):
     """What a full outbox does: ``"reject"`` raises `BusyError` from `offer`."""
 
     restart: Restart = Restart()
+    """How often it is started again after a crash."""
 
     essential: bool = False
     """Whether the robot ends, with an exit code, when it is FAILED."""
-
-    """How often it is started again after a crash."""
 
     _host = cast("Host", Unbound())
     _mail = cast("Mail", Unbound())
@@ -310,7 +326,7 @@ class Behavior(ProfiledAction):
             BusyError: Too many requests wait.
             StoppingError: The robot is stopping.
         """
-        return await self._mail.ask(receiver, request, timeout, progress)  # type: ignore[no-any-return]
+        return await self._mail.ask(receiver, request, timeout, progress)
 
     async def receive(
         self, *, timeout: float | None = None, as_type: type[D] | None = None
@@ -335,16 +351,8 @@ class Behavior(ProfiledAction):
     ) -> tuple[str, D]:
         """Wait for data as `receive` does.
 
-        Args:
-            timeout: How long to wait, in seconds; None for no limit.
-            as_type: What is expected; for type checkers, and checked when it comes.
-
         Returns:
             Who has put it, and the data.
-
-        Raises:
-            TimeoutError: There was none in time; what comes later waits.
-            BadValueError: It is something else; it is taken all the same.
         """
         sender, data = await self._take(timeout)
         if as_type is not None:
@@ -547,7 +555,7 @@ class Behavior(ProfiledAction):
 
     def _checked(self, data: Any, wanted: type[T], verb: str, sender: str) -> T:
         if isinstance(data, wanted) or passes_as(data, wanted):
-            return data  # type: ignore[no-any-return]
+            return data
         told = f"expected {type_name(wanted)} from {sender}, not {data!r:.80}"
         raise BadValueError(self.name, verb, told)
 
@@ -559,3 +567,187 @@ def portal_of(behavior: Behavior) -> Portal:
     if found is None:
         raise not_bound(behavior, "robot")
     return found
+
+
+def _in_thread(behavior: Behavior) -> tuple[Portal, Behavior]:
+    return portal_of(behavior), behavior
+
+
+class BlockingCalls:
+    """What the thread of a behavior calls; parameters and results are those of `Behavior`."""
+
+    put: Final = waits(Behavior.put, _in_thread)
+    get: Final = waits(Behavior.get, _in_thread)
+    ask: Final = waits(Behavior.ask, _in_thread)
+    receive: Final = waits(Behavior.receive, _in_thread)
+    receive_from: Final = waits(Behavior.receive_from, _in_thread)
+    offer: Final = calls(Behavior.offer, _in_thread)
+    stop_robot: Final = waits(Behavior.stop_robot, _in_thread)
+
+    @overload
+    def perform(
+        self,
+        reaction: Reaction | minimal.Reaction,
+        *,
+        until: Callable[..., bool] | None = None,
+        timeout: float | None = None,
+        blind_timeout: float | None = None,
+    ) -> bool: ...
+    @overload
+    def perform(self, reaction: Behavior, *, timeout: float | None = None) -> Any: ...
+
+    def perform(self: Any, reaction: Any, **terms: Any) -> Any:
+        """Run a reaction or another behavior as a step; see `Behavior.perform`."""
+        return portal_of(self).call(in_loop, Behavior.perform, self, reaction, **terms)
+
+    @overload
+    def register(
+        self,
+        resource: str,
+        access: Literal[Access.READ],
+        *,
+        as_type: type[D] | None = None,
+        max_age: float | None = None,
+    ) -> BlockingSensorPort[D]: ...
+    @overload
+    def register(
+        self,
+        resource: str,
+        access: Literal[Access.WRITE],
+        *,
+        as_type: type[D] | None = None,
+        priority: int = 0,
+        hold: float | None = None,
+    ) -> BlockingActuatorPort[D]: ...
+    @overload
+    def register(
+        self,
+        resource: str,
+        access: Access,
+        *,
+        as_type: type[Any] | None = None,
+        priority: int = 0,
+        hold: float | None = None,
+        max_age: float | None = None,
+    ) -> Any: ...
+
+    def register(self: Any, resource: str, access: Access, **terms: Any) -> Any:
+        """Register for a resource at run time; see `Behavior.register`."""
+        return portal_of(self).call(Behavior.register, self, resource, access, **terms)
+
+
+class ThreadBehavior(BlockingCalls, Behavior):  # type: ignore[misc]  # as it says
+    """A behavior with a thread of its own: its ports and methods wait.
+
+    Write a plain ``def run``. Everything else is as in `Behavior`.
+
+    Example:
+        >>> class Inspect(esair.ThreadBehavior):
+        ...     arm = esair.writes(float)
+        ...
+        ...     def run(self) -> None:
+        ...         for _ in esair.every(0.1):
+        ...             self.arm.write(0.5)
+    """
+
+    def run(self) -> Any:
+        """Do the work, in the thread. Unless overridden it waits."""
+        portal_of(self).call(asyncio.Event().wait)
+
+    @property
+    def supervisor(self) -> BlockingBehaviors:
+        """The behaviors of the robot: what they do, and, with a right, to manage them."""
+        return cast("BlockingBehaviors", super().supervisor)
+
+
+_CALLS = {
+    name: method
+    for name, method in vars(BlockingCalls).items()
+    if isinstance(method, types.FunctionType)
+}
+"""What a plain behavior calls in its thread, and others await."""
+
+
+def give(
+    behavior: Behavior,
+    host: Host,
+    mail: Mail,
+    portal: Portal | None,
+    port_of: Callable[[str, Need], Any],
+    loop_of: Callable[[str, Takes[Any]], Callable[[], Any]] | None,
+) -> None:
+    """Give a behavior what it declares; with a portal all of it waits, in its thread.
+
+    Args:
+        behavior: Who gets it.
+        host: What it asks of its supervisor.
+        mail: How it exchanges data with others.
+        portal: The way of its thread, if it has one.
+        port_of: Makes the port of a need, by its attribute.
+        loop_of: Where requests come from, by its attribute; None if it takes none.
+    """
+    fields = vars(behavior)
+    fields["_host"], fields["_mail"] = host, mail
+    if portal is not None and not isinstance(behavior, ThreadBehavior):
+        for name, method in _CALLS.items():
+            fields[name] = types.MethodType(method, behavior)
+    for attribute, need in behavior.needs.items():
+        fields[attribute] = port_of(attribute, need)
+    for attribute, each in (behavior.takes if loop_of else {}).items():
+        if loop_of and isinstance(each, Takes) and each.method is None:
+            loop = loop_of(attribute, each)
+            fields[attribute] = (
+                BlockingRequestPort(loop, portal) if portal else RequestPort(loop)
+            )
+
+
+def take_back(action: ProfiledAction, host: Host, portal: Portal | None) -> None:
+    """Take a behavior its supervisor, if it has not another one by now."""
+    fields = vars(action)
+    if fields.get("_host") is not host:
+        return
+    del fields["_host"], fields["_mail"]
+    for name in _CALLS if portal is not None else ():
+        fields.pop(name, None)
+
+
+async def run_as_step(
+    behavior: Behavior,
+    performer: str,
+    portal: Portal | None,
+    owner: Owner,
+    timeout: float | None,
+    is_ready: Callable[[], object],
+) -> Any:
+    """Set up a behavior that another performs, run it and clean up, in this task.
+
+    Returns:
+        What its ``run`` returns.
+
+    Raises:
+        BehaviorUnavailableError: It did not end within the time.
+        Exception: What it raised.
+    """
+
+    async def call(method: Callable[[], Any]) -> Any:
+        if inspect.iscoroutinefunction(method):
+            return await method()
+        found: list[Any] = [None]
+        way = portal
+        if way is None or way.closed:
+            way = Portal(performer, owner)
+        await way.run(lambda: found.append(method()))
+        return found[-1]
+
+    try:
+        async with asyncio.timeout(timeout) as limit:
+            await call(behavior.setup)
+            is_ready()
+            return await call(behavior.run)
+    except TimeoutError:
+        if timeout is None or not limit.expired():
+            raise
+        told, state = "come to its end", f"a step of {performer}"
+        raise BehaviorUnavailableError(behavior.name, told, timeout, state) from None
+    finally:
+        await call(behavior.teardown)

@@ -32,14 +32,25 @@ class Waits:
         self._portal = portal
 
 
+def _held(held: Waits) -> tuple[Portal, Any]:
+    return held._portal, held._base  # noqa: SLF001 - in its own module
+
+
 def waits(
     method: Callable[Concatenate[S, P], Awaitable[R]],
+    way: Callable[[Any], tuple[Portal, Any]] = _held,
 ) -> Callable[Concatenate[Any, P], R]:
-    """Return a method with the same parameters that waits, in the thread that calls it."""
+    """Return a method with the same parameters that waits, in the thread that calls it.
+
+    Args:
+        method: What is called in the loop.
+        way: Says through which portal, and on which object.
+    """
 
     @functools.wraps(method)
-    def call(self: Waits, /, *args: P.args, **options: P.kwargs) -> R:
-        return self._portal.call(in_loop, method, self._base, *args, **options)
+    def call(self: Any, /, *args: P.args, **options: P.kwargs) -> R:
+        portal, base = way(self)
+        return portal.call(in_loop, method, base, *args, **options)
 
     return call
 
@@ -55,9 +66,12 @@ def each_of(values: AsyncGenerator[T, None], portal: Portal) -> Iterator[T]:
             portal.call(values.aclose)
 
 
-def calls(method: Callable[Concatenate[S, P], R]) -> Callable[Concatenate[Any, P], R]:
+def calls(
+    method: Callable[Concatenate[S, P], R],
+    way: Callable[[Any], tuple[Portal, Any]] = _held,
+) -> Callable[Concatenate[Any, P], R]:
     """Return the same of a plain method: it is called in the loop."""
-    return waits(cast("Callable[Concatenate[S, P], Awaitable[R]]", method))
+    return waits(cast("Callable[Concatenate[S, P], Awaitable[R]]", method), way)
 
 
 async def in_loop(method: Callable[..., Any], /, *args: Any, **options: Any) -> Any:

@@ -7,10 +7,10 @@ from typing import Any, ClassVar, TypeVar
 
 import attrs
 
+from esair.actions._flow import Input
 from esair.actions._needs import Reads, attributes_of
 from esair.actions._reaction import Reaction
 from esair.actions._reaction_runner import Hooks, ReactionRunner
-from esair.actions._senses import Input
 from esair.connections import Computation, DerivedChannel, Source
 from esair.exceptions import DeviceLostError, EsairError
 from esair.loop import NEVER, Owner

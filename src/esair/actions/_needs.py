@@ -28,7 +28,7 @@ from esair.resources import APPLIED
 from esair.values import check_name, is_positive
 
 if TYPE_CHECKING:
-    from esair.actions._blocking import ThreadBehavior
+    from esair.actions._behavior import ThreadBehavior
 
 
 B = TypeVar("B")

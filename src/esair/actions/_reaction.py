@@ -108,11 +108,10 @@ class Reaction(ProfiledAction):
     """How many steps in a row may exceed the budget; one more is an error of it."""
 
     restart: Restart = Restart()
+    """How often it is started again after an error."""
 
     essential: bool = False
     """Whether the robot ends, with an exit code, when it is FAILED."""
-
-    """How often it is started again after an error."""
 
     mute_limit: float = 30.0
     """For how long the user may mute what it protects, in seconds; 0: not at all."""

@@ -15,15 +15,13 @@ from typing import Any, ClassVar
 
 import attrs
 
-from esair.actions._outputs import Outputs
+from esair.actions._flow import Input, Moving, Outputs, Sampling, Senses, Sensing
 from esair.actions._reaction import MinimalReaction, Reaction, StepClock
-from esair.actions._senses import Input, Sampling, Senses
 from esair.connections import (
     BLIND,
     ActuatorChannel,
     Decision,
     Protection,
-    Registration,
     SensorChannel,
     Sight,
 )
@@ -119,11 +117,18 @@ class ReactionRunner:
         reaction.take_clock(self.clock)
         loop = asyncio.get_running_loop()
         self.time: Callable[[], float] = clock_of(loop)
-        self.step_time: StepTime | None = step_time(reaction, loop)
+        budget = reaction.budget
+        if budget is None and loop.get_debug():
+            budget = loop.slow_callback_duration
+        self.step_time: StepTime | None = None  # only who has a budget pays for it
+        if budget is not None:
+            self.step_time = StepTime(reaction, loop, budget)
         self.scheduler: Scheduler = Scheduler.of(loop)
         self._stepping = Stepping.of(loop)
         names, self._react = ordered(reaction)
-        self.senses: Senses = Senses(self, names, self.grace)
+        self.senses: Senses = Senses(
+            self, reaction.inputs, names, self.grace, reaction.rate
+        )
         self.outputs: Outputs = Outputs(self)
         self.job: Job = self.scheduler.on_demand(self._turn, name=reaction.name)
         self._sampling: Sampling | None = None
@@ -150,9 +155,7 @@ class ReactionRunner:
         }
 
     def start(
-        self,
-        inputs: Mapping[str, tuple[SensorChannel, Registration, float | None]],
-        outputs: Mapping[str, tuple[ActuatorChannel, Registration]],
+        self, inputs: Mapping[str, Sensing], outputs: Mapping[str, Moving]
     ) -> None:
         senses = self.senses
         senses.begin(inputs)
@@ -258,10 +261,7 @@ class ReactionRunner:
     def _timed_step(self, now: float) -> None:
         assert self.step_time is not None
         begin = self.step_time.begin()
-        if self.senses.waiting is None:
-            self._step(now)
-        else:
-            self._step_on_each(now)
+        self._step_on_each(now)
         failed = self.step_time.end(begin)
         if failed is not None and not self.stopped:
             self.crash(failed)
@@ -357,11 +357,7 @@ class GuardRunner(ReactionRunner):
         self._channel: ActuatorChannel | None = None
         self._sight: Sight | None = None
 
-    def guard(
-        self,
-        channel: ActuatorChannel,
-        inputs: Mapping[str, tuple[SensorChannel, Registration, float | None]],
-    ) -> None:
+    def guard(self, channel: ActuatorChannel, inputs: Mapping[str, Sensing]) -> None:
         """Begin to follow the sensors, and to judge the commands of an actuator."""
         self._channel = channel
         protection = self._protection
@@ -471,14 +467,6 @@ class StepTime:
             return None
         row = f"overrun {self.in_row} in a row: {text}"
         return BehaviorFailedError(reaction.name, row)
-
-
-def step_time(reaction: Reaction, loop: asyncio.AbstractEventLoop) -> StepTime | None:
-    """Return what counts the steps of a reaction; only who has a budget pays for it."""
-    budget = reaction.budget
-    if budget is None and loop.get_debug():
-        budget = loop.slow_callback_duration
-    return None if budget is None else StepTime(reaction, loop, budget)
 
 
 # What its functions get: the readings, by the names of their parameters.

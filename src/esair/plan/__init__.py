@@ -10,6 +10,7 @@ file, from a script, and for each component that comes into a running one::
 A new rule goes into the file of its subject, and is asked in ``_examine.py``.
 """
 
+from esair.plan._declarations import SCRIPT, inner_of, recipe_of, unplaceable
 from esair.plan._examine import (
     examine,
     examine_action,
@@ -19,10 +20,8 @@ from esair.plan._examine import (
     in_use,
     used_already,
 )
-from esair.plan._finding import Finding, Severity, errors_in, refuse
 from esair.plan._needs import denial, depths, not_alone, unmet
-from esair.plan._placement import SCRIPT, inner_of, recipe_of, unplaceable
-from esair.plan._plan import Plan
+from esair.plan._plan import Finding, Plan, Severity, errors_in, refuse
 from esair.plan._protection import (
     UNWATCHED,
     Guard,

@@ -1,17 +1,21 @@
 """What one component declares: is it sound, whatever the robot?
 
-Can its methods be called as they will be, are its values of the right kinds, do they fit?
+Can its methods be called as they will be, are its values of the right kinds, do they fit? Can
+it live in a process of its own? There it is made of a class by name, and what that is
+constructed with; never of a copy: what a component that runs knows of its robot must not cross.
 """
 
 from __future__ import annotations
 
 import inspect
+import sys
 import types
 import typing
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, Final
 
 from esair import abc
+from esair.abc import Component, made_of
 from esair.actions import (
     Behavior,
     Derived,
@@ -24,10 +28,11 @@ from esair.actions import (
     declared_requests,
     is_request,
 )
+from esair.codec import CodecError, Kinds, declared, encode
 from esair.connections import CommandCheck, limits_by_field, part_of
 from esair.exceptions import BadValueError, ConfigError
-from esair.messages import Reading, Restart
-from esair.plan._finding import Finding, because, mistake, warning
+from esair.messages import Reading, Restart, placement_of
+from esair.plan._plan import Finding, because, mistake, warning
 from esair.resources import (
     HOLD,
     Actuator,
@@ -38,7 +43,6 @@ from esair.resources import (
 )
 from esair.values import check_name, hints_of, is_positive, same_type, type_name
 
-_RESOURCE = ("open", "close", "identify")
 _BEHAVIOR = ("setup", "run", "teardown", "provide")
 
 
@@ -46,26 +50,17 @@ def wrong_signatures(
     resource: Sensor[Any] | Actuator[Any],
 ) -> Iterator[tuple[str, str]]:
     """Yield each method of a resource that cannot be called, and what was expected."""
-    for field in _RESOURCE:
-        method = getattr(resource, field)
-        if told := _cannot(method):
-            yield field, f"expected a method without parameters: {told}"
-        elif yields(method):
-            yield field, "expected a method that does not yield"
+    yield from _wrong_methods(resource, ("open", "close", "identify"))
     changes = dict.fromkeys(settings_of(type(resource)))
     if told := _cannot(resource.apply, **changes):
         yield "apply", f"expected a method that takes its settings by name: {told}"
     if isinstance(resource, Actuator):
-        if told := _cannot(resource.write, None):
-            yield "write", f"expected a method with one parameter, the command: {told}"
-        elif yields(resource.write):
-            yield "write", "expected a method that does not yield"
+        takes = "with one parameter, the command"
+        yield from _wrong_methods(resource, ("write",), None, takes=takes)
         return
     if resource.can_be_asked:
-        if told := _cannot(resource.read):
-            yield "read", f"expected a method without parameters: {told}"
-        elif yields(resource.read):
-            yield "read", "expected a method that returns one value: name it stream"
+        returns = "returns one value: name it stream"
+        yield from _wrong_methods(resource, ("read",), returns=returns)
     if resource.pushes:
         if told := _cannot(resource.stream):
             yield "stream", f"expected a method without parameters: {told}"
@@ -73,16 +68,19 @@ def wrong_signatures(
             yield "stream", "expected a method that yields its values"
 
 
-def wrong_methods(behavior: Behavior) -> Iterator[tuple[str, str]]:
-    """Yield each method of a behavior that cannot be called, and what was expected."""
-    for field in _BEHAVIOR:
-        method = getattr(behavior, field)
-        if getattr(type(behavior), field) is getattr(Behavior, field):
-            continue
-        if told := _cannot(method):
-            yield field, f"expected a method without parameters: {told}"
+def _wrong_methods(
+    component: object,
+    fields: Iterable[str],
+    *values: object,
+    takes: str = "without parameters",
+    returns: str = "does not yield",
+) -> Iterator[tuple[str, str]]:
+    for field in fields:
+        method = getattr(component, field)
+        if told := _cannot(method, *values):
+            yield field, f"expected a method {takes}: {told}"
         elif yields(method):
-            yield field, "expected a method that does not yield"
+            yield field, f"expected a method that {returns}"
 
 
 def wrong_react(reaction: Reaction) -> Iterator[str]:
@@ -131,13 +129,6 @@ def _given(reaction: Reaction) -> dict[str, Need]:
         for name, need in reaction.needs.items()
         if not isinstance(need, Writes)
     }
-
-
-def wrong_types(reaction: Reaction) -> Iterator[str]:
-    """Yield each annotated parameter of ``react`` that its port does not fit."""
-    if isinstance(reaction, MinimalReaction):
-        return  # its types are for readers only
-    yield from _mistyped(reaction.react, _given(reaction))
 
 
 def _mistyped(step: Callable[..., Any], given: Mapping[str, Need]) -> Iterator[str]:
@@ -201,36 +192,30 @@ def mistakes_in_action(action: Behavior | Reaction) -> Iterator[Finding]:
 
 def mistyped(reaction: Reaction) -> Iterator[Finding]:
     """Find parameters of ``react`` whose annotations do not fit the ports."""
-    for told in wrong_types(reaction):
-        yield mistake("declaration", reaction, "react", told)
+    if not isinstance(reaction, MinimalReaction):  # its types are for readers only
+        for told in _mistyped(reaction.react, _given(reaction)):
+            yield mistake("declaration", reaction, "react", told)
 
 
 def _in_action(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:
-    if action.needs:
-        yield from _in_needs(action)
-    if isinstance(action, Reaction):
-        yield from _in_reaction(action)
-    else:
-        yield from _in_boxes(action)
-        yield from wrong_methods(action)
-    if not isinstance(action.restart, Restart):
-        yield "restart", "expected an esair.Restart"
-
-
-def _in_needs(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:
     for attribute, need in action.needs.items():
         yield from wrong_port(attribute, need)
-        if isinstance(need, Guards) and isinstance(action, Behavior):
-            yield attribute, "only a reaction guards: make one of it"
-        if isinstance(need, Reads) and need.every and isinstance(action, Behavior):
-            told = "only a reaction runs on every reading; here the newest wins"
-            yield f"{attribute}.every", told
-        if isinstance(need, Writes) and need.blind not in {None, "safe", "release"}:
-            told = f"expected 'safe' or 'release', not {need.blind!r:.80}"
-            yield f"{attribute}.blind", told
-        if not isinstance(need, Reads) and type(need.priority) is not int:
-            told = f"expected a whole number, not {need.priority!r:.80}"
-            yield f"{attribute}.priority", told
+        if isinstance(action, Behavior):
+            if isinstance(need, Guards):
+                yield attribute, "only a reaction guards: make one of it"
+            elif getattr(need, "every", False):
+                told = "only a reaction runs on every reading; here the newest wins"
+                yield f"{attribute}.every", told
+    if isinstance(action, Reaction):
+        yield from _in_plain(action, _OF_REACTION)
+        yield from _in_reaction(action)
+    else:
+        yield from _in_plain(action, _OF_BEHAVIOR)
+        of = type(action)
+        own = [f for f in _BEHAVIOR if getattr(of, f) is not getattr(Behavior, f)]
+        yield from _wrong_methods(action, own)
+    if not isinstance(action.restart, Restart):
+        yield "restart", "expected an esair.Restart"
 
 
 def wrong_port(attribute: str, need: Need) -> Iterator[tuple[str, str]]:
@@ -245,51 +230,22 @@ def wrong_port(attribute: str, need: Need) -> Iterator[tuple[str, str]]:
             f"expected a type such as float, not {need.type!r:.80} "
             "(a name is given by name=)",
         )
-    for field in ("max_age", "hold"):
-        seconds = getattr(need, field, None)
-        if seconds is not None and not is_positive(seconds):
-            told = f"expected seconds > 0, not {seconds!r:.80}"
-            yield f"{attribute}.{field}", told
-    for field in ("configure", "every", "optional", "latch"):
-        if type(flag := getattr(need, field, False)) is not bool:
-            told = f"expected True or False, not {flag!r:.80}"
-            yield f"{attribute}.{field}", told
+    for field, told in _in_plain(need, _OF_PORT):
+        yield f"{attribute}.{field}", told
 
 
 def _in_reaction(reaction: Reaction) -> Iterator[tuple[str, str]]:
-    rate, budget, limit = reaction.rate, reaction.budget, reaction.overrun_limit
-    if rate is not None and not (is_positive(rate) and rate <= _FASTEST):
-        yield "rate", f"expected Hz > 0, not {rate!r:.80}"
-    if budget is not None and not is_positive(budget):
-        yield "budget", f"expected seconds > 0, not {budget!r:.80}"
-    if limit is not None and (type(limit) is not int or limit < 0):
-        yield "overrun_limit", f"expected a whole number, not {limit!r:.80}"
-    mute_limit = reaction.mute_limit
-    if mute_limit != 0 and not is_positive(mute_limit):
-        yield "mute_limit", f"expected seconds >= 0, not {mute_limit!r:.80}"
     guards = [key for key, need in reaction.needs.items() if isinstance(need, Guards)]
     if len(guards) > 1 or (guards and reaction.outputs):
         others = ", ".join([*guards[1:], *reaction.outputs])
         told = "a guard guards one actuator and writes none"
         yield guards[0], f"{told}: make {others} part of another reaction"
-    if rate is None and not reaction.inputs and not guards:
+    if reaction.rate is None and not reaction.inputs and not guards:
         yield "rate", "it reads no sensor, so it needs a rate (Hz) to run at"
     for told in wrong_react(reaction):
         yield "react", told
     if guards and (wrong := wrong_blind(reaction, guards[0])):
         yield "blind", wrong
-
-
-def _in_boxes(behavior: Behavior) -> Iterator[tuple[str, str]]:
-    for field in ("inbox_size", "outbox_size"):
-        value = getattr(behavior, field)
-        if type(value) is not int or value < 1:
-            yield field, f"expected a whole number > 0, not {value!r}"
-    for field in ("inbox_policy", "outbox_policy"):
-        value = getattr(behavior, field)
-        if value not in {"reject", "drop_oldest", "latest"}:
-            told = f"expected 'reject', 'drop_oldest' or 'latest', not {value!r}"
-            yield field, told
 
 
 def mistakes_in_requests(action: abc.Action) -> list[ConfigError]:
@@ -334,8 +290,7 @@ def wrong_derived(derived: Derived[Any]) -> Iterator[tuple[str, str]]:
         yield "bus", "it is computed, and is on no bus"
     if inspect.iscoroutinefunction(derived.open):
         yield "open", "expected a plain function, not async"
-    if derived.budget is not None and not is_positive(derived.budget):
-        yield "budget", f"expected seconds > 0, not {derived.budget!r:.80}"
+    yield from _in_plain(derived, _OF_DERIVED)
     for name in derived.operations:
         if not inspect.iscoroutinefunction(getattr(derived, name)):
             told = "expected async def: a thread would meet compute at work"
@@ -346,51 +301,45 @@ def wrong_derived(derived: Derived[Any]) -> Iterator[tuple[str, str]]:
 
 def mistakes_in_resource(resource: Sensor[Any] | Actuator[Any]) -> Iterator[Finding]:
     """Find what is wrong with the class of a resource, or with its values."""
+    for field, told in _in_resource(resource):
+        yield mistake("declaration", resource, field, told)
+    if isinstance(resource, Actuator) and resource.blocking:
+        yield from _blocks_safe(resource)
 
-    def wrong(field: str, told: str) -> Finding:
-        return mistake("declaration", resource, field, told)
 
-    for field, told in (*_in_plain(resource), *_in_limits(resource)):
-        yield wrong(field, told)
+def _in_resource(
+    resource: Sensor[Any] | Actuator[Any],
+) -> Iterator[tuple[str, str]]:
+    yield from _in_plain(resource, _OF_RESOURCE)
+    yield from _in_limits(resource)
     if resource.identity is not None and not resource.identifies:
-        yield wrong("identity", "its class has no identify to compare it with")
+        yield "identity", "its class has no identify to compare it with"
     if wrong_one := wrong_bus(type(resource), resource.bus):
-        yield wrong("bus", wrong_one)
+        yield "bus", wrong_one
     if isinstance(resource, Actuator):
-        for field, told in _in_actuator(resource):
-            yield wrong(field, told)
+        yield from _in_actuator(resource)
         if getattr(resource.write, "__func__", None) is Actuator.write:
-            yield wrong("write", "an actuator must have a write method")
-    else:
-        if isinstance(resource, Derived):
-            for field, told in wrong_derived(resource):
-                yield wrong(field, told)
-        elif not (resource.can_be_asked or resource.pushes):
-            yield wrong("read", "a sensor must have a read or stream method")
-    for field, told in wrong_signatures(resource):
-        yield wrong(field, told)
-    for field, told in wrong_operations(type(resource)):
-        yield wrong(field, told)
-    if isinstance(resource, Actuator):
-        for name, each in resource.operations.items():
-            limit = resource.deadline if each.deadline is None else each.deadline
-            if blocks_safe(resource, name, limit):
-                told = (
-                    f"it blocks its thread for up to {limit:g} s, and the safe "
-                    "command waits behind it"
-                )
-                advice = (
-                    "write it as async def, or let it only begin what the device does"
-                )
-                yield warning("time", resource, name, told, advice)
+            yield "write", "an actuator must have a write method"
+    elif isinstance(resource, Derived):
+        yield from wrong_derived(resource)
+    elif not (resource.can_be_asked or resource.pushes):
+        yield "read", "a sensor must have a read or stream method"
+    yield from wrong_signatures(resource)
+    yield from wrong_operations(type(resource))
 
 
-def blocks_safe(actuator: Actuator[Any], operation: str, limit: object) -> bool:
-    """Tell whether an operation keeps the safe command waiting for too long."""
-    plain = not inspect.iscoroutinefunction(getattr(actuator, operation))
-    if not (plain and actuator.blocking):
-        return False
-    return is_positive(limit) and float(str(limit)) > actuator.deadline
+def _blocks_safe(actuator: Actuator[Any]) -> Iterator[Finding]:
+    """Find plain operations that keep the safe command waiting for too long."""
+    for name, each in actuator.operations.items():
+        limit = actuator.deadline if each.deadline is None else each.deadline
+        plain = not inspect.iscoroutinefunction(getattr(actuator, name))
+        if plain and is_positive(limit) and limit > actuator.deadline:
+            told = (
+                f"it blocks its thread for up to {limit:g} s, and the safe "
+                "command waits behind it"
+            )
+            advice = "write it as async def, or let it only begin what the device does"
+            yield warning("time", actuator, name, told, advice)
 
 
 def _in_actuator(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
@@ -402,7 +351,7 @@ def _in_actuator(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
     if (
         actuator.safe is HOLD
         or wrong_slew
-        or any(_in_plain(actuator))
+        or any(_in_plain(actuator, _OF_RESOURCE))
         or any(_in_limits(actuator))
     ):
         return
@@ -423,41 +372,66 @@ def _in_slew(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
             yield f"slew.{field}".rstrip("."), told
 
 
-def _in_plain(resource: Sensor[Any] | Actuator[Any]) -> Iterator[tuple[str, str]]:
-    for wanted, is_one, fields in _PLAIN:
-        for field in fields.split():
-            value = getattr(resource, field, _NONE_HERE)
-            if value is not _NONE_HERE and not is_one(value):
-                yield field, f"expected {wanted}, not {value!r:.80}"
+_Plain = tuple[tuple[str, bool, str, Any], ...]
+
+
+def _plain(*rows: tuple[str, Any, str]) -> _Plain:
+    """Say what is expected of some fields, by which test or type; ? where None is good."""
+    return tuple(
+        (field.rstrip("?"), field.endswith("?"), wanted, is_one)
+        for wanted, is_one, fields in rows
+        for field in fields.split()
+    )
+
+
+def _in_plain(declared: object, table: _Plain) -> Iterator[tuple[str, str]]:
+    """Yield each plain value of a component or a port that is none of its kind."""
+    for field, may_lack, wanted, is_one in table:
+        value = getattr(declared, field, _NONE_HERE)
+        if value is _NONE_HERE or (may_lack and value is None):
+            continue
+        if not (
+            value.__class__ is is_one
+            or (is_one.__class__ is not type and is_one(value))
+        ):
+            yield field, f"expected {wanted}, not {value!r:.80}"
 
 
 _NONE_HERE = object()
 
 
-def _is_count(value: object) -> bool:
+def _is_count(value: Any) -> bool:
     return type(value) is int and value > 0
 
 
-_PLAIN: tuple[tuple[str, Callable[[object], bool], str], ...] = (
+_OF_RESOURCE = _plain(
     ("seconds > 0", is_positive, "deadline set_up_period command_timeout"),
+    ("seconds > 0 or None", is_positive, "own_timeout? period?"),
+    ("a whole number > 0", _is_count, "fault_limit history_size max_repeat?"),
+    ("True or False", bool, "required blocking clamp safe_moves"),
+)
+_OF_DERIVED = _plain(("seconds > 0", is_positive, "budget?"))
+_OF_REACTION = _plain(
+    ("Hz > 0", lambda value: is_positive(value) and value <= _FASTEST, "rate?"),
+    ("seconds > 0", is_positive, "budget?"),
+    ("seconds >= 0", lambda value: value == 0 or is_positive(value), "mute_limit"),
+    ("a whole number", lambda n: type(n) is int and n >= 0, "overrun_limit?"),
+)
+_POLICIES = ("reject", "drop_oldest", "latest")
+_OF_BEHAVIOR = _plain(
+    ("a whole number > 0", _is_count, "inbox_size outbox_size"),
     (
-        "seconds > 0 or None",
-        lambda value: value is None or is_positive(value),
-        "own_timeout period",
-    ),
-    ("a whole number > 0", _is_count, "fault_limit history_size"),
-    (
-        "a whole number > 0",
-        lambda value: value is None or _is_count(value),
-        "max_repeat",
-    ),
-    (
-        "True or False",
-        lambda value: type(value) is bool,
-        "required blocking clamp safe_moves",
+        "'reject', 'drop_oldest' or 'latest'",
+        _POLICIES.__contains__,
+        "inbox_policy outbox_policy",
     ),
 )
-"""What a class, or one of its objects, may say wrongly: the test, the fields."""
+_OF_PORT = _plain(
+    ("seconds > 0", is_positive, "max_age? hold?"),
+    ("a whole number", int, "priority"),
+    ("'safe' or 'release'", ("safe", "release").__contains__, "blind?"),
+    ("True or False", bool, "configure every optional latch"),
+)
 
 
 def _in_limits(resource: Sensor[Any] | Actuator[Any]) -> Iterator[tuple[str, str]]:
@@ -482,3 +456,108 @@ def _in_limits(resource: Sensor[Any] | Actuator[Any]) -> Iterator[tuple[str, str
         except TypeError:
             told = f"expected a pair for each field of {part!r:.80}, not {bounds!r:.80}"
             yield f"limits.{field}".rstrip("."), told
+
+
+SCRIPT: Final = "__main__"
+
+
+def unplaceable(component: Any) -> Iterator[Finding]:
+    """Find why a component cannot live in a process of its own, if it shall."""
+    place = getattr(component, "placement", None)
+    if place is None or place == "task":
+        return
+    found = _reason(component)
+    if found is not None:
+        field, wrong, advice = found
+        yield mistake("placement", component, field, wrong, advice)
+
+
+def inner_of(component: Any) -> Any:
+    """Return what the user has written: a class of ESAIR MIN is in an adapter."""
+    inner = vars(component).get("reaction", vars(component).get("device"))
+    return component if inner is None else inner
+
+
+def recipe_of(component: Any) -> dict[str, Any]:
+    """Return what a child makes this component of; ``args`` and ``options`` are values."""
+    inner = inner_of(component)
+    kind = type(inner)
+    args: tuple[Any, ...] = ()
+    options: dict[str, Any] | None = None
+    if isinstance(inner, Component):
+        args, options = made_of(inner)
+    found = {
+        "module": kind.__module__,
+        "class": kind.__qualname__,
+        "args": args,
+        "options": options,
+        "fields": dict(vars(inner)) if options is None else {},
+        "name": component.name,
+    }
+    if kind.__module__ == SCRIPT:
+        found["script"] = getattr(sys.modules[SCRIPT], "__file__", None)
+    return found
+
+
+def _reason(component: Any) -> tuple[str, str, str] | None:
+    """Return which field is wrong, why, and what to do."""
+    try:
+        placement_of(component.placement)
+    except ValueError as error:
+        return "placement", str(error), ""
+    if isinstance(component, Actuator):
+        return (
+            "placement",
+            "an actuator stays in the robot's process, where its safe command is",
+            "place what decides, or what is read",
+        )
+    if getattr(component, "is_computed", False):
+        return "placement", "what is computed of readings stays with them", ""
+    if isinstance(component, Reaction) and component.guarded is not None:
+        return (
+            "placement",
+            "a guard stays in the robot's process: commands cannot wait for another",
+            "place what it reads as a sensor, or write it as a reaction",
+        )
+    if isinstance(component, Sensor) and component.bus is not None:
+        return (
+            "bus",
+            f"its bus {component.bus.name!r} has one owner, the robot's process",
+            "let the driver open its own device, or place what reads it",
+        )
+    if not isinstance(component, Behavior | Reaction | Sensor):
+        return None
+    return _unnamed(component) or _unsendable(component)
+
+
+def _unnamed(component: Any) -> tuple[str, str, str] | None:
+    recipe = recipe_of(component)
+    module, path = recipe["module"], recipe["class"]
+    found: Any = sys.modules.get(module)
+    for part in path.split("."):
+        found = getattr(found, part, None)
+    inner = inner_of(component)
+    if found is not type(inner):
+        advice = "define it at the top of a module"
+        return "placement", f"its class cannot be imported as {module}:{path}", advice
+    if module == SCRIPT and not recipe.get("script"):
+        return "placement", "its class is in no file", "put it into a module"
+    return None
+
+
+def _unsendable(component: Any) -> tuple[str, str, str] | None:
+    recipe = recipe_of(component)
+    if not (recipe["args"] or recipe["options"] or recipe["fields"]):
+        return None
+    try:
+        kinds = Kinds(declared(type(inner_of(component))))
+        encode((recipe["args"], recipe["options"], recipe["fields"]), kinds)
+    except CodecError as error:
+        what = error.path.partition("]")[2].removeprefix(".") or "what it is made of"
+        advice = "give plain data, and make the rest of it in setup or open"
+        return (
+            "placement",
+            f"{what} cannot be sent to a process: {error.reason}",
+            advice,
+        )
+    return None

@@ -8,8 +8,7 @@ from typing import Any
 import attrs
 
 from esair.actions import Behavior, Guards, Reaction, Writes
-from esair.plan._finding import Finding, warning
-from esair.plan._plan import Plan
+from esair.plan._plan import Finding, Plan, warning
 from esair.resources import Actuator, Resource
 from esair.values import is_positive
 
@@ -101,24 +100,16 @@ def _of(plan: Plan, name: str, actuator: Actuator[object]) -> Protection:
     timeout, own = actuator.command_timeout, actuator.own_timeout
     good = is_positive(timeout)
     after = f"{timeout:g} s after the last command, and " if good else ""
+    writers = sorted(_writers(plan, name), key=lambda w: (-w.priority, w.behavior))
+    guards = sorted(_guards(plan, name), key=lambda g: (-g.priority, g.reaction))
+    others = (Guard(o, 0, _IN_DEVICE, latch=False) for o in actuator.own_guards)
     return Protection(
         name=name,
         driver=f"{_public(type(actuator).__module__)}:{type(actuator).__qualname__}",
         safe=repr(actuator.safe) if hasattr(actuator, "safe") else None,
         command_timeout=float(timeout) if good else None,
-        writers=tuple(
-            sorted(
-                _writers(plan, name), key=lambda each: (-each.priority, each.behavior)
-            )
-        ),
-        guards=tuple(
-            sorted(
-                _guards(plan, name), key=lambda each: (-each.priority, each.reaction)
-            )
-        )
-        + tuple(
-            Guard(each, 0, _IN_DEVICE, latch=False) for each in actuator.own_guards
-        ),
+        writers=tuple(writers),
+        guards=(*guards, *others),
         sent_by=f"esair: {after}at every exit",
         own_timeout=own,
         when_the_process_dies=_unwatched(plan, actuator)
@@ -155,11 +146,9 @@ def _writers(plan: Plan, resource: str) -> Iterator[Writer]:
 
 def _guards(plan: Plan, resource: str) -> Iterator[Guard]:
     for name, action, _, need in plan.needs_of.get(resource, {}).values():
-        if (
-            isinstance(need, Guards)
-            and isinstance(action, Reaction)
-            and type(need.priority) is int
-        ):
+        if not (isinstance(need, Guards) and isinstance(action, Reaction)):
+            continue
+        if type(need.priority) is int:
             decides = type(action).blind is not Reaction.blind
             told = "its blind() decides" if decides else "nothing passes"
             yield Guard(name, need.priority, told, need.latch)
@@ -172,20 +161,20 @@ def unprotected(plan: Plan) -> Iterator[Finding]:
         yield from _bare(plan, name, row)
         yield from _level(plan, name, row)
     for name, action, attribute, need in plan.needs():
-        if not isinstance(action, Reaction):
-            continue
-        if isinstance(need, Guards) and need.latch is True:
+        if (
+            isinstance(need, Guards)
+            and isinstance(action, Reaction)
+            and need.latch is True
+        ):
             told = (
                 f"once it has refused a command for {need.resource!r}, nothing passes "
                 f"until robot.behaviors.reset({name!r})"
             )
-            yield warning(
-                "protect",
-                action,
+            field, advice = (
                 f"{attribute}.latch",
-                told,
                 "see that somebody is there to call it",
             )
+            yield warning("protect", action, field, told, advice)
     yield from _mutable(plan)
     yield from _half_guarded(plan, rows)
 

@@ -18,14 +18,6 @@ from esair.resources._devices import (
     SensorSettings,
     adapt_resource,
 )
-from esair.resources._operation import (
-    Operation,
-    Parameter,
-    operation,
-    operation_of,
-    operations_of,
-    wrong_operations,
-)
 from esair.resources._resource import (
     Resource,
     ResourceSettings,
@@ -34,11 +26,17 @@ from esair.resources._resource import (
 )
 from esair.resources._setting import (
     HIDDEN,
+    Operation,
+    Parameter,
     Setting,
     check_settings,
+    operation,
+    operation_of,
+    operations_of,
     setting,
     settings_of,
     shown,
+    wrong_operations,
 )
 
 __all__ = [

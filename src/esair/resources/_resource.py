@@ -15,8 +15,13 @@ import attrs
 
 from esair import abc
 from esair.exceptions import ConfigError, EsairError, describe
-from esair.resources._operation import Operation, operations_of
-from esair.resources._setting import Setting, check_settings, settings_of
+from esair.resources._setting import (
+    Operation,
+    Setting,
+    check_settings,
+    operations_of,
+    settings_of,
+)
 from esair.values import once_for_class
 
 if TYPE_CHECKING:
@@ -135,7 +140,7 @@ class Resource(abc.Resource):
         own = vars(owner)["open"]
         is_checked = owner is not cls and issubclass(owner, Resource)
         if inspect.isfunction(own) and not is_checked:
-            cls.open = _on_its_bus(own)  # type: ignore[method-assign]
+            cls.open = _within(own, _on_its_bus)  # type: ignore[method-assign]
         if isinstance(getattr(cls, "errors", None), Mapping):
             _translate_errors(cls)
 
@@ -183,7 +188,8 @@ class Resource(abc.Resource):
 
         async def open(self) -> None:
             """Make the device ready. Called at the start and after each loss."""
-            _check_bus(self)
+            with _on_its_bus(self):
+                pass
 
         async def close(self) -> None:
             """Let the device go. Called at the stop and after each loss."""
@@ -281,30 +287,6 @@ def wrong_bus(cls: type, bus: object) -> str | None:
     return f"{wanted}, but {called!r} is a {type(bus).__name__}"
 
 
-def _on_its_bus(own: Callable[..., Any]) -> Callable[..., Any]:
-    """Have an ``open`` that is called by hand say that its bus is missing.
-
-    A robot looks before it starts; by hand it would be an `AttributeError` of None.
-    """
-    if inspect.isgeneratorfunction(own) or inspect.isasyncgenfunction(own):
-        return own  # a mistake, and told as one
-    if inspect.iscoroutinefunction(own):
-
-        @functools.wraps(own)
-        async def opened(device: Resource) -> Any:
-            _check_bus(device)
-            return await own(device)
-
-    else:
-
-        @functools.wraps(own)
-        def opened(device: Resource) -> Any:
-            _check_bus(device)
-            return own(device)
-
-    return opened
-
-
 _CALLED = ("open", "close", "identify", "apply", "is_set_up", "read", "write", "stream")
 """The methods of a driver, whose errors may be those of a package."""
 
@@ -318,15 +300,18 @@ def _translate_errors(cls: type[Resource]) -> None:
         if not inspect.isfunction(own) or own.__module__.startswith("esair.resources"):
             continue
         if not hasattr(own, "_translates"):
-            setattr(cls, name, _translating(own))
+            made = _within(own, _translated)
+            vars(made)["_translates"] = True
+            setattr(cls, name, made)
 
 
-def _translating(own: Callable[..., Any]) -> Callable[..., Any]:
+def _within(own: Callable[..., Any], context: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a method of a device, of whatever kind, that runs in a context of it."""
     made: Callable[..., Any]
     if inspect.isasyncgenfunction(own):
 
         async def made(device: Resource, *args: Any, **named: Any) -> Any:
-            with _translated(device):
+            with context(device):
                 async with contextlib.aclosing(own(device, *args, **named)) as values:
                     async for value in values:
                         yield value
@@ -334,23 +319,33 @@ def _translating(own: Callable[..., Any]) -> Callable[..., Any]:
     elif inspect.isgeneratorfunction(own):
 
         def made(device: Resource, *args: Any, **named: Any) -> Any:
-            with _translated(device):
+            with context(device):
                 yield from own(device, *args, **named)
 
     elif inspect.iscoroutinefunction(own):
 
         async def made(device: Resource, *args: Any, **named: Any) -> Any:
-            with _translated(device):
+            with context(device):
                 return await own(device, *args, **named)
 
     else:
 
         def made(device: Resource, *args: Any, **named: Any) -> Any:
-            with _translated(device):
+            with context(device):
                 return own(device, *args, **named)
 
-    vars(made)["_translates"] = True
     return functools.wraps(own)(made)
+
+
+@contextlib.contextmanager
+def _on_its_bus(device: Resource) -> Iterator[None]:
+    """Have an ``open`` that is called by hand say that its bus is missing.
+
+    A robot looks before it starts; by hand it would be an `AttributeError` of None.
+    """
+    if device.bus is None and (told := wrong_bus(type(device), None)):
+        raise ConfigError(device.name, "bus", f"{told}: give it one by bus=")
+    yield
 
 
 @contextlib.contextmanager
@@ -365,8 +360,3 @@ def _translated(device: Resource) -> Iterator[None]:
             if isinstance(error, kind):
                 raise meant(device.name, describe(error)) from error
         raise
-
-
-def _check_bus(device: Resource) -> None:
-    if device.bus is None and (told := wrong_bus(type(device), None)):
-        raise ConfigError(device.name, "bus", f"{told}: give it one by bus=")

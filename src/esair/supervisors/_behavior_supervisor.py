@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Any, TypeVar
 
 from esair import abc, minimal
 from esair.actions import Behavior, Reaction, Request, adapt_action
 from esair.exceptions import BehaviorRemovedError
 from esair.journal import Kind
-from esair.loop import VERB_COST, Budget
-from esair.messages import BehaviorState, BehaviorStatus, Modes, SupervisorPhase
+from esair.loop import VERB_COST, Budget, wake
+from esair.messages import BehaviorStatus, Modes, SupervisorPhase
 from esair.plan import examine_action, in_use
 from esair.supervisors._behavior_deployment import (
     BehaviorDeployment,
@@ -97,15 +98,12 @@ class BehaviorSupervisor(abc.Supervisor):
 
     def outcomes(self) -> list[Record]:
         """Return how the last requests ended, the oldest first."""
-        return self._deployment.mediator.outcomes()
+        return [Record(*line) for line in self._deployment.mediator.ledger]
 
     async def put(
         self, data: Any, *, sender: str, receiver: str, interval: float = 1.0
     ) -> None:
-        """Hand data from one behavior to another.
-
-        A receiver that cannot take it is asked again until it can, or until the
-        interval has passed.
+        """Hand data from one behavior to another, as `Behavior.put` does.
 
         Args:
             data: What the receiver gets, untouched.
@@ -115,33 +113,25 @@ class BehaviorSupervisor(abc.Supervisor):
 
         Raises:
             UnknownNameError: No behavior is named *receiver*, nobody *sender*.
-            BehaviorUnavailableError: It could not receive for the interval.
-            BehaviorRemovedError: It was removed meanwhile.
-            BehaviorFailedError: It crashed meanwhile.
-            BusyError: Too many requests wait.
             StoppingError: The robot is stopping.
+            EsairError: As `Behavior.put`.
         """
         await Budget.spend()
         self._deployment.mediator.check_principal("sender", sender)
         await self._deployment.mediator.put(data, sender, receiver, interval)
 
     async def get(self, *, sender: str, receiver: str, interval: float = 1.0) -> Any:
-        """Ask one behavior for data, in the name of another.
+        """Ask one behavior for data, in the name of another, as `Behavior.get` does.
 
         Args:
             sender: The name of the behavior that gives.
-            receiver: In whose name it is asked: a component's, ``"user"`` or
-                ``"operator"``.
+            receiver: In whose name: a component's, ``"user"`` or ``"operator"``.
             interval: How long to keep asking, in seconds.
 
         Raises:
             UnknownNameError: No behavior is named *sender*, nobody *receiver*.
-            BehaviorUnavailableError: It could not send for the interval.
-            CircularRequestError: It waits, itself or through others, for *receiver*.
-            BehaviorRemovedError: It was removed meanwhile.
-            BehaviorFailedError: It crashed meanwhile, or its ``provide`` did.
-            BusyError: Too many requests wait.
             StoppingError: The robot is stopping.
+            EsairError: As `Behavior.get`.
         """
         await Budget.spend()
         self._deployment.mediator.check_principal("receiver", receiver)
@@ -156,7 +146,7 @@ class BehaviorSupervisor(abc.Supervisor):
         timeout: float | None = 10.0,
         progress: Callable[[Any], object] | None = None,
     ) -> A:
-        """Ask a behavior to do something, in the name of somebody.
+        """Ask a behavior to do something, in the name of somebody; see `Behavior.ask`.
 
         Args:
             request: What it is asked; its class says what it is answered with.
@@ -164,12 +154,6 @@ class BehaviorSupervisor(abc.Supervisor):
             receiver: The name of the behavior that is asked.
             timeout: How long it may wait and work, in seconds; None for no limit.
             progress: Called with what it tells of its progress; the newest wins.
-
-        Returns:
-            The answer.
-
-        Raises:
-            EsairError: As `Behavior.ask`.
         """
         mediator = self._deployment.mediator
         mediator.check_principal("sender", sender)
@@ -194,31 +178,25 @@ class BehaviorSupervisor(abc.Supervisor):
         name = name_of(action)
 
         async def work() -> None:
-            await self._deployment.gone(name)
-            plan = self._deployment.resources.plan
-            if found := examine_action(plan, action):
-                refuse_all(found, action)
-            member = Member(action, self._deployment, name)
-            self._deployment.take_in(member)
-            if self._deployment.turns.rest(member):
-                self._journal.publish(Kind.ADDED, member.name, "behavior")
-                return
-            member.sight.accept()
-            try:
-                await self._deployment.begin(member)
-            except BaseException:
-                if self._deployment.members.get(member.name) is not member:
-                    raise  # somebody has removed or replaced it meanwhile
-                if member.mail.is_leaving:
-                    await self._deployment.gone(member.name)
+            crew = self._deployment
+            await crew.gone(name)
+            refuse_all(examine_action(crew.resources.plan, action), action)
+            member = Member(action, crew, name)
+            crew.take_in(member)
+            if not crew.turns.rest(member):
+                member.sight.accept()
+                try:
+                    await crew.begin(member)
+                except BaseException:
+                    if crew.members.get(name) is not member:
+                        raise  # somebody has removed or replaced it meanwhile
+                    if member.mail.is_leaving:
+                        await crew.gone(name)
+                        raise
+                    await crew.remove(member)
+                    member.sight.leave()
                     raise
-                member.mail.become(BehaviorState.STOPPING)
-                self._deployment.mediator.peer_removed(member.mail)
-                await self._deployment.end(member)
-                self._deployment.take_out(member)
-                member.sight.leave()
-                raise
-            self._journal.publish(Kind.ADDED, member.name, "behavior")
+            self._journal.publish(Kind.ADDED, name, "behavior")
 
         await self._commands.run(work, name=f"add {name}", undo=True)
 
@@ -239,19 +217,16 @@ class BehaviorSupervisor(abc.Supervisor):
         """
 
         async def work() -> list[Any]:
-            await self._deployment.gone(name)
-            member = self._deployment.member(name)
-            member.mail.become(BehaviorState.STOPPING)
-            self._deployment.mediator.peer_removed(member.mail)
-            for coming in tuple(self._deployment.coming):
+            crew = self._deployment
+            await crew.gone(name)
+            member = crew.member(name)
+            for coming in tuple(crew.coming):
                 if coming.name == name:
                     coming.give_up()
-            self._commands.changed()
-            await self._deployment.end(member)
-            self._deployment.take_out(member)
+            await crew.remove(member)
             member.sight.removed()
             self._journal.publish(Kind.REMOVED, name, "behavior")
-            self._deployment.ended()
+            crew.ended()
             return [data for _, data in member.mail.inbox]
 
         return await self._commands.run(
@@ -279,41 +254,38 @@ class BehaviorSupervisor(abc.Supervisor):
         action: Behavior | Reaction = adapt_action(behavior)
 
         async def work() -> list[Any]:
-            await self._deployment.gone(name)
-            old = self._deployment.member(name)
+            crew = self._deployment
+            await crew.gone(name)
+            old = crew.member(name)
             if isinstance(action, abc.Component) and not in_use(action):
                 action._name = name  # noqa: SLF001 - a supervisor gives names
-            plan = self._deployment.resources.plan
-            found = examine_action(plan, action, instead_of=old.action)
-            refuse_all(found, action)
-            new = Member(action, self._deployment, name)
-            if self._deployment.turns.rest(new):
-                self._commands.no_return()
-                self._put_in_place(new, old)
-                await self._deployment.end(old)
-                return [data for _, data in old.mail.inbox]
-            new.gate = asyncio.get_running_loop().create_future()
-            new.sight.stand_by()
-            try:
-                await self._deployment.begin(new)
-                if isinstance(action, Reaction):
-                    # Until then the old one decides: nothing moves unwatched.
-                    self._commands.changed()
-                    await asyncio.wait({new.sight.decided()}, timeout=TAKE_OVER)
-                old = self._deployment.member(name)  # it may be another one by now
-                if old.mail.is_leaving or self._deployment.turns.rests(name):
-                    raise BehaviorRemovedError(name)
-            except BaseException:
-                new.give_up()
-                await self._deployment.end(new)
-                new.sight.leave()
-                raise
+            plan = crew.resources.plan
+            refuse_all(examine_action(plan, action, instead_of=old.action), action)
+            new = Member(action, crew, name)
+            if not crew.turns.rest(new):
+                new.gate = asyncio.get_running_loop().create_future()
+                new.sight.stand_by()
+                try:
+                    await crew.begin(new)
+                    if isinstance(action, Reaction):
+                        # Until then the old one decides: nothing moves unwatched.
+                        self._commands.changed()
+                        await asyncio.wait({new.sight.decided()}, timeout=TAKE_OVER)
+                    old = crew.member(name)  # it may be another one by now
+                    if old.mail.is_leaving or crew.turns.rests(name):
+                        raise BehaviorRemovedError(name)
+                except BaseException:
+                    new.give_up()
+                    await crew.end(new)
+                    new.sight.leave()
+                    raise
+                new.sight.take_over(old.sight)
             self._commands.no_return()
-            new.sight.take_over(old.sight)
-            self._put_in_place(new, old)
-            new.gate.set_result(None)  # its run begins when the old one is fenced off
-            await self._deployment.end(old)
-            self._deployment.ended()
+            crew.take_in(new)
+            crew.mediator.moved(old.mail, new.mail)
+            wake(new.gate)  # its run begins when the old one is fenced off
+            await crew.end(old)
+            crew.ended()
             return [data for _, data in old.mail.inbox]
 
         return await self._commands.run(work, name=f"replace {name}", undo=True)
@@ -362,9 +334,9 @@ class BehaviorSupervisor(abc.Supervisor):
             await self._deployment.gone(name)
             self._deployment.turns.check_turn(name)
             member = self._deployment.member(name)
-            ending = member.end_run(self._deployment.grace)
+            member.end_run()
             self._commands.changed()
-            await ending
+            await member.run_ended(self._deployment.grace)
             await self._deployment.begin(member)
 
         await self._commands.run(work, name=f"restart {name}", undo=False)
@@ -387,15 +359,8 @@ class BehaviorSupervisor(abc.Supervisor):
             RefusedError: A newer switch has come before.
             StoppingError: The robot is not running.
         """
-
-        async def work() -> None:
-            await self._deployment.turns.switch(mode, reason)
-
+        work = partial(self._deployment.turns.switch, mode, reason)
         await self._commands.run(work, name=f"switch {mode}", undo=True)
-
-    def _put_in_place(self, new: Member, old: Member) -> None:
-        self._deployment.take_in(new)
-        self._deployment.mediator.moved(old.mail, new.mail)
 
     async def command(self, text: str) -> str:
         """Do what an operator types; it has the rights of the user.

@@ -46,33 +46,59 @@ def only_the_user(what: str, asked: str, does: str) -> None:
         raise AccessDeniedError("a behavior", what, asked, f"only the user {does}")
 
 
-class Rules:
-    """Decides whether a behavior may register; says which rule denied it."""
+WAITING_LIMIT = 16
+"""How many operations of one resource may wait or run; more are refused."""
+
+
+class ControlPath:
+    """Issues registrations by the rules, and lets their holders configure."""
 
     def __init__(
         self,
-        policies: Iterable[Policy],
         registrations: Registrations,
+        policies: Iterable[Policy],
         declared: Declared,
         meet: Callable[[str, str], bool],
+        lives: Mapping[str, ResourceLife],
+        leaving: Set[str],
+        sensors: SensorConnection,
+        actuators: ActuatorConnection,
     ) -> None:
+        self.registrations = registrations
         # What is no policy, or one too many, is found before the robot starts.
         self.policies: dict[str, Policy] = {
             each.resource: each for each in policies if isinstance(each, Policy)
         }
-        self._registrations = registrations
         self._declared = declared
         self._meet = meet  # whether two run in the same mode
+        self._lives = lives
+        self._leaving = leaving
+        self._sensors = sensors
+        self._actuators = actuators
+        self.turned_away: int = 0  # how many operations there was no room for
+        self.closed = False  # the robot stops: nobody gets a right any more
 
-    def check(
-        self, terms: Terms, *, is_actuator: bool, instead_of: str | None, provider: str
-    ) -> None:
+    def grant(self, terms: Terms, *, instead_of: str | None = None) -> Registration:
+        """Register a behavior, in one step without an await."""
+        check_party("behavior", terms.behavior)
+        resource = terms.resource
+        provider = self._provider(resource)
+        self._check_there(resource, provider)
+        _check_terms(terms)
+        self._check_rules(terms, provider, instead_of)
+        if provider != resource:
+            self._tell_applied(provider)
+        known = self.registrations.find(terms) if instead_of is None else None
+        return known or self.registrations.issue(terms)
+
+    def _check_rules(self, terms: Terms, provider: str, instead_of: str | None) -> None:
         """Pass if a behavior may have what it asks for."""
         behavior, resource, access, priority, _ = terms
         if not access:
             raise AccessDeniedError(
                 behavior, resource, "nothing", "ask for some access"
             )
+        is_actuator = resource in self._actuators.channels
         wrong = access & (Access.READ if is_actuator else Access.WRITE | Access.GUARD)
         if wrong:
             kind = "an actuator is written" if is_actuator else "a sensor is read"
@@ -99,53 +125,9 @@ class Rules:
         """Return who is registered to write an actuator."""
         return [
             registration.behavior
-            for registration in self._registrations.of_resource(resource)
+            for registration in self.registrations.of_resource(resource)
             if Access.WRITE in registration.access
         ]
-
-
-WAITING_LIMIT = 16
-"""How many operations of one resource may wait or run; more are refused."""
-
-
-class ControlPath:
-    """Issues registrations by the rules, and lets their holders configure."""
-
-    def __init__(
-        self,
-        registrations: Registrations,
-        rules: Rules,
-        lives: Mapping[str, ResourceLife],
-        leaving: Set[str],
-        sensors: SensorConnection,
-        actuators: ActuatorConnection,
-    ) -> None:
-        self.registrations = registrations
-        self.rules = rules
-        self._lives = lives
-        self._leaving = leaving
-        self._sensors = sensors
-        self._actuators = actuators
-        self.turned_away: int = 0  # how many operations there was no room for
-        self.closed = False  # the robot stops: nobody gets a right any more
-
-    def grant(self, terms: Terms, *, instead_of: str | None = None) -> Registration:
-        """Register a behavior, in one step without an await."""
-        check_party("behavior", terms.behavior)
-        resource = terms.resource
-        provider = self._provider(resource)
-        self._check_there(resource, provider)
-        _check_terms(terms)
-        self.rules.check(
-            terms,
-            is_actuator=resource in self._actuators.channels,
-            instead_of=instead_of,
-            provider=provider,
-        )
-        if provider != resource:
-            self._tell_applied(provider)
-        known = self.registrations.find(terms) if instead_of is None else None
-        return known or self.registrations.issue(terms)
 
     def admit(self, terms: Terms) -> Registration:
         """Register somebody who is no component: people rank above the rules."""

@@ -44,7 +44,7 @@ from esair.exceptions import (
 )
 from esair.loop import Owner, Portal, fail, raisable, wake
 from esair.messages import Access
-from esair.plan import examine_step, refuse, unmet
+from esair.plan import refuse, unmet
 from esair.supervisors._control_path import only_the_user
 from esair.values import check_duration, printable
 
@@ -70,15 +70,19 @@ class Sight:
     ) -> None:
         self._table = table
         self._action = action
-        label = f"step {name} of {step_of}" if step_of else name
         self.name = name
-        self.entries: tuple[Protection, ...] = ()
-        if action.needs:
-            self.entries = tuple(
-                _entry(action, need, step_of or name, label)
-                for need in action.needs.values()
-                if action.holds_when_blind(need)
+        self.entries: tuple[Protection, ...] = tuple(
+            Protection(
+                step_of or name,
+                need.resource,
+                need.priority,
+                label=f"step {name} of {step_of}" if step_of else name,
+                guards=isinstance(need, Guards),
+                latch=isinstance(need, Guards) and need.latch,
             )
+            for need in action.needs.values()
+            if action.holds_when_blind(need)
+        )
         self.reason: str = UNDECIDED  # why it cannot decide; empty if it can
         self._decided: asyncio.Future[None] | None = None
 
@@ -181,20 +185,6 @@ class Sight:
             raise BadValueError(self.name, field, "it protects no actuator")
 
 
-def _entry(
-    action: ProfiledAction, need: Need, component: str, label: str
-) -> Protection:
-    guards = isinstance(need, Guards)
-    return Protection(
-        component,
-        need.resource,
-        need.priority,
-        label=label,
-        guards=guards,
-        latch=isinstance(need, Guards) and need.latch,
-    )
-
-
 Action = Behavior | Reaction
 Port = SensorPort[Any] | ActuatorPort[Any]
 
@@ -208,8 +198,6 @@ class Grants:
         under: The needs of the behavior that performs it, if it is a step: it writes
             with no higher priority than that.
     """
-
-    __slots__ = ("_crew", "_name", "_ports", "_under", "registrations")
 
     def __init__(
         self,
@@ -364,66 +352,6 @@ def fill(
     )
 
 
-class Steps:
-    """What one behavior performs now."""
-
-    __slots__ = ("_crew", "_grants", "_name", "now")
-
-    def __init__(self, name: str, crew: BehaviorDeployment, grants: Grants) -> None:
-        self._name = name
-        self._crew = crew
-        self._grants = grants
-        self.now: tuple[Step | BehaviorStep, ...] = ()
-
-    async def perform(
-        self,
-        reaction: Reaction,
-        owner: Owner,
-        until: Callable[..., bool] | None,
-        timeout: float | None,
-        blind_timeout: float | None,
-        seat: Seat | StepSeat | None,
-    ) -> bool:
-        """Run a reaction until its condition comes true or its time is over."""
-        found = examine_step(self._crew.resources.plan, reaction, performer=self._name)
-        refuse(found, f"what {self._name} performs is described wrongly")
-        resources = self._crew.resources
-        table = resources.actuators.protections
-        sight = Sight(table, reaction, reaction.name, step_of=self._name)
-        step = Step(reaction, sight, blind_timeout, until, resources.began, owner, seat)
-        self.now = (*self.now, step)
-        sight.accept()
-        timer = None
-        try:
-            step.uses = bind(step.runner, reaction, self._grants, step.own)
-            if timeout is not None:
-                loop = asyncio.get_running_loop()
-                timer = loop.call_later(timeout, step.end, False)
-            return await step.ended
-        finally:
-            if timer is not None:
-                timer.cancel()
-            step.stop()
-            self.now = tuple(each for each in self.now if each is not step)
-            for registration in step.own:
-                resources.control.revoke(registration)
-            sight.leave()
-
-    async def perform_behavior(
-        self, behavior: Behavior, member: Member, timeout: float | None
-    ) -> Any:
-        """Run a behavior to its end, in the task of its performer."""
-        plan = self._crew.resources.plan
-        found = examine_step(plan, behavior, performer=self._name)
-        refuse(found, f"what {self._name} performs is described wrongly")
-        step = BehaviorStep(behavior, member)
-        self.now = (*self.now, step)
-        try:
-            return await step.run(timeout)
-        finally:
-            self.now = tuple(each for each in self.now if each is not step)
-
-
 class BehaviorStep:
     """A behavior that is performed now, and the `Host` that it talks to.
 
@@ -438,11 +366,10 @@ class BehaviorStep:
         self.mail = member.mail
         self.grants = Grants(member.name, member.crew, member.action.needs)
         self.own = self.grants.registrations
-        self.uses: tuple[Registration, ...] = ()  # its ports tell it what has gone
+
         self.runner = None
         self.detail = f"performs {behavior.name}"
-        table = member.crew.resources.actuators.protections
-        self._sight = Sight(table, behavior, behavior.name, step_of=member.name)
+        self._sight = _sight_of_step(behavior, member)
         self.portal: Portal | None = None
         if not inspect.iscoroutinefunction(behavior.run):
             self.portal = Portal(member.name, member.mail.owner)
@@ -470,7 +397,7 @@ class BehaviorStep:
             if self.portal is not None:
                 self.portal.close()
 
-    def revive(self, resource: str) -> None:
+    def resource_changed(self, resource: str) -> None:
         """Give its ports their rights to a resource again that has come back."""
         self.grants.revive(self.behavior.needs, resource)
 
@@ -483,14 +410,13 @@ class Step:
     def __init__(
         self,
         reaction: Reaction,
-        sight: Sight,
-        blind_timeout: float | None,
+        member: Member,
         until: Callable[..., bool] | None,
-        began: float,
-        owner: Owner,
+        blind_timeout: float | None,
         seat: Seat | StepSeat | None,
     ) -> None:
-        self.sight = sight
+        self._reaction, self._member = reaction, member
+        self.sight = sight = _sight_of_step(reaction, member)
         hooks = Hooks(
             state=self._state,
             crash=self.crash,
@@ -498,6 +424,7 @@ class Step:
             end=lambda: self.end(True),
             until=until,
         )
+        began, owner = member.crew.resources.began, member.mail.owner
         self.runner = runner_for(reaction, sight, hooks, began, owner, seat)
         self._loop = loop = asyncio.get_running_loop()
         self._blind_timeout = blind_timeout
@@ -505,8 +432,28 @@ class Step:
         self._is_blind()
         self.needs = tuple(reaction.needs.values())
         self.own: list[Registration] = []  # the registrations that end with it
-        self.uses: list[Registration] = []
-        self.ended: asyncio.Future[bool] = loop.create_future()
+        self._uses: list[Registration] = []
+        self._ended: asyncio.Future[bool] = loop.create_future()
+
+    async def run(self, timeout: float | None) -> bool:
+        """Run it until its condition comes true or its time is over."""
+        self.sight.accept()
+        timer = None
+        try:
+            self._uses = bind(
+                self.runner, self._reaction, self._member.grants, self.own
+            )
+            if timeout is not None:
+                timer = self._loop.call_later(timeout, self.end, False)
+            return await self._ended
+        finally:
+            if timer is not None:
+                timer.cancel()
+            self.runner.stop()
+            self._sees_again()
+            for registration in self.own:
+                self._member.crew.resources.control.revoke(registration)
+            self.sight.leave()
 
     @property
     def detail(self) -> str:
@@ -514,13 +461,11 @@ class Step:
         reason = self.sight.reason
         return f"step {self.sight.name} is blind: {reason}" if reason else ""
 
-    def stop(self) -> None:
-        """Take no further step."""
-        self.runner.stop()
-        self._sees_again()
-
-    def revive(self, resource: str) -> None:
+    def resource_changed(self, resource: str) -> None:
         """It is bound for as long as it lasts: what has gone ends it."""
+        for registration in self._uses:
+            if registration.reason is not None:
+                self.crash(registration.reason())
 
     def _state(self, running: bool, why: str) -> None:
         if not running:
@@ -549,11 +494,16 @@ class Step:
             self.crash(error)
 
     def end(self, result: bool) -> None:
-        if not self.ended.done():
-            self.ended.set_result(result)
+        if not self._ended.done():
+            self._ended.set_result(result)
 
     def crash(self, error: BaseException) -> None:
-        fail(self.ended, raisable(error))
+        fail(self._ended, raisable(error))
+
+
+def _sight_of_step(action: ProfiledAction, member: Member) -> Sight:
+    table = member.crew.resources.actuators.protections
+    return Sight(table, action, action.name, step_of=member.name)
 
 
 def runner_for(

@@ -44,16 +44,24 @@ class Life:
 
     Attributes:
         name: The name of the component.
-        restarts: How often it may still be begun anew.
+        policy: How often it may be begun anew, and when.
         journal: Where it tells what becomes of it.
+        restarts: How many restarts there were since the budget was full.
+        retries: Whether it is spent, and the component is tried from time to time.
     """
-
-    __slots__ = ("journal", "name", "restarts")
 
     def __init__(self, name: str, policy: Restart, journal: Journal) -> None:
         self.name: str = name
-        self.restarts: RestartBudget = RestartBudget(policy)
+        self.policy: Restart = policy
         self.journal: Journal = journal
+        self._begins = 0.0  # when the last restart has begun
+        self.fill()
+
+    def fill(self) -> None:
+        """Begin anew: somebody has asked for a restart, or nothing else helps."""
+        self._times: collections.deque[float] | None = None
+        self.restarts: int = 0
+        self.retries: bool = False
 
     def tell(
         self, kind: Kind, error: BaseException | None = None, text: str = ""
@@ -62,51 +70,25 @@ class Life:
 
     def pause_after(self, error: BaseException, now: float) -> float | None:
         """Take a restart from the budget, after an error."""
-        pause = self.restarts.spend(now)
+        pause = self.spend(now)
         told = describe(error)
         if pause is None:
             self.tell(Kind.FAILED, error, told)
             _log.error(
                 "%s: failed for good, %d restarts did not help: %s",
                 self.name,
-                self.restarts.policy.max,
+                self.policy.max,
                 told,
                 exc_info=raisable(error),
             )
-        elif self.restarts.retries:
+        elif self.retries:
             _log.error("%s: failed: %s; tried again in %g s", self.name, told, pause)
         return pause
-
-
-def where(seat: Seat | None) -> tuple[str, int | None]:
-    """Say where a component lives, and the number of its own process if it has one."""
-    return ("task", None) if seat is None else ("process", seat.pid)
-
-
-class RestartBudget:
-    """Counts restarts within a window and says how long to wait before each."""
-
-    __slots__ = ("_begins", "_times", "count", "policy", "retries")
-
-    def __init__(self, policy: Restart) -> None:
-        self.policy: Restart = policy
-        self.count: int = 0  # how many restarts there were since it was full
-        self.retries: bool = False  # it is spent, and is tried again from time to time
-        self._times: collections.deque[float] | None = None
-        self._begins = 0.0  # when the last restart has begun
-
-    def fill(self) -> None:
-        """Begin anew: somebody has asked for a restart, or nothing else helps."""
-        self._times = None
-        self.count = 0
-        self.retries = False
 
     def spend(self, now: float) -> float | None:
         """Return the pause before the next restart in seconds, or None if it is spent."""
         policy = self.policy
-        if self._times is None:
-            self._times = collections.deque()
-        times = self._times
+        times = self._times = self._times or collections.deque()
         while times and now - times[0] > policy.within:
             times.popleft()
         lasted = now - self._begins > policy.within
@@ -123,8 +105,13 @@ class RestartBudget:
             pause = min(pause, policy.max_delay)
         times.append(now)
         self._begins = now + pause
-        self.count += 1
+        self.restarts += 1
         return pause
+
+
+def where(seat: Seat | None) -> tuple[str, int | None]:
+    """Say where a component lives, and the number of its own process if it has one."""
+    return ("task", None) if seat is None else ("process", seat.pid)
 
 
 _SILENT = frozenset({errno.EREMOTEIO, errno.ENXIO, errno.ETIMEDOUT, errno.EHOSTDOWN})

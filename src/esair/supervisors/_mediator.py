@@ -1,34 +1,38 @@
 """The mediator: all data between behaviors passes here, and only on request.
 
-A request that would wait for itself is refused at once. That follows the requests that an
-answer waits for: two behaviors that ask each other wait for nobody as long as one of them
-has somebody free to answer.
+A mailbox is what others see of one behavior: what it can receive and give, and who waits for
+that. A request that would wait for itself is refused at once: two behaviors that ask each
+other wait for nobody as long as one of them has somebody free to answer.
 """
 
 from __future__ import annotations
 
 import asyncio
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from typing import Any
 
-from esair.actions import NOTHING, Behavior
+import attrs
+
+from esair.actions import NOTHING, Behavior, Reaction, Takes
 from esair.actions import Request as Asked
 from esair.connections import run_ended
 from esair.exceptions import (
     BadValueError,
     BehaviorFailedError,
     BehaviorRemovedError,
+    BehaviorUnavailableError,
     BusyError,
     CircularRequestError,
+    EsairError,
     RefusedError,
     StoppingError,
     UnknownNameError,
+    describe,
 )
 from esair.journal import Journal, Kind
-from esair.loop import Budget, Deadlines
+from esair.loop import Budget, Deadlines, Owner, speaks_for_nobody, wake, wake_one
 from esair.messages import PEOPLE, BehaviorState
-from esair.supervisors._mailbox import Mailbox
 from esair.supervisors._requests import (
     Ledger,
     Order,
@@ -39,6 +43,268 @@ from esair.supervisors._requests import (
     chain,
 )
 from esair.values import is_positive
+
+_NO_QUEUES: Mapping[Any, OrderQueue] = {}
+
+_LEAVING = frozenset({BehaviorState.STOPPING, BehaviorState.REMOVED})
+
+_ALIVE = frozenset(BehaviorState) - _LEAVING - {BehaviorState.FAILED}
+
+
+@attrs.define(eq=False, repr=False)
+class Mailbox:
+    """What others see of a behavior: its state, what it can receive and give.
+
+    It holds what was put for it and what it offers; the mediator fills it.
+    """
+
+    action: Behavior | Reaction
+    _mediator: Mediator
+    name: str
+    owner: Owner
+    room: int = 0
+    outlived: bool = False
+    """Tasks of a run that has ended may be there; they must not speak for it."""
+    carriers: tuple[asyncio.Task[Any], ...] = ()
+    """The tasks that only wait for its threads."""
+    error: BaseException | None = None
+    inbox: list[tuple[str, Any]] = attrs.field(factory=list)  # who put what
+    latest: Any = NOTHING  # what everybody may get again and again
+    outbox: list[Any] = attrs.field(factory=list)
+    dropped: int = 0
+    turned_away: int = 0  # how many requests and offers there was no room for
+    # Puts that wait until it can receive, and gets that wait until it can send.
+    senders: RequestQueue = attrs.field(init=False)
+    askers: RequestQueue = attrs.field(init=False)
+    queues: Mapping[Any, OrderQueue] = _NO_QUEUES
+    """The requests that it takes, by their type."""
+    takers: list[asyncio.Future[None]] | None = None
+    budget: Budget = attrs.field(init=False)
+    state: BehaviorState = BehaviorState.STARTING
+    alive: bool = True
+    is_leaving: bool = False
+    """Whether it is being removed, or has been: its actuators may still be."""
+    is_quick: bool = True
+    receives: bool = False
+
+    def __attrs_post_init__(self) -> None:
+        self.senders = RequestQueue(self)
+        self.askers = RequestQueue(self, "provide")
+        self.budget = Budget.of(asyncio.get_running_loop())
+        if isinstance(self.action, Behavior):
+            self.room = self.action.inbox_size
+            if takes := self.action.takes:
+                good = [each for each in takes.values() if isinstance(each, Takes)]
+                self.queues = {each.type: OrderQueue(self, each) for each in good}
+
+    def become(self, state: BehaviorState) -> None:
+        self.state = state
+        self.alive = state in _ALIVE
+        self.is_leaving = state in _LEAVING
+        self.is_quick = self.alive and not self.outlived
+        is_open = state is BehaviorState.RUNNING
+        if self.room and state is BehaviorState.RESTING:
+            is_open = self.action.open_at_rest  # type: ignore[union-attr]
+        self.receives = is_open and self.room > 0
+
+    def failure(self) -> BehaviorFailedError:
+        """Return what whoever needs it gets after it has failed for good."""
+        assert self.error is not None
+        return self.failed_by(self.error)
+
+    def failed_by(self, error: BaseException) -> BehaviorFailedError:
+        """Return what whoever waits for it gets when an error has ended its run."""
+        failed = BehaviorFailedError(self.name, describe(error))
+        failed.__cause__ = error
+        return failed
+
+    def absence(self, data: Any = None) -> EsairError:
+        """Return what whoever needs it gets when it is not alive."""
+        if self.state is BehaviorState.FAILED:
+            return self.failure()
+        return BehaviorRemovedError(self.name, data)
+
+    def check_speaker(self) -> None:
+        """Pass if the code that runs now may act in the name of the behavior."""
+        if not self.alive:
+            raise self.absence()
+        if speaks_for_nobody():
+            raise run_ended(self.name)
+
+    # What the mediator asks.
+
+    def has_room(self) -> bool:
+        """Whether the inbox can take another piece of data."""
+        if not self.receives:
+            return False
+        return len(self.inbox) < self.room or self.action.inbox_policy != "reject"  # type: ignore[union-attr]
+
+    @property
+    def can_receive(self) -> bool:
+        """Whether a put is delivered at once."""
+        return not self.senders.count and self.has_room()
+
+    def make_room(self) -> bool:
+        """Drop what its policy says from a full inbox; tells whether there is room."""
+        policy = self.action.inbox_policy  # type: ignore[union-attr]
+        if policy == "reject":
+            return False
+        drop = len(self.inbox) if policy == "latest" else 1
+        del self.inbox[:drop]
+        self.dropped += drop
+        return True
+
+    @property
+    def can_provide(self) -> bool:
+        """Whether the behavior makes data on demand, now."""
+        action = self.action
+        return (
+            isinstance(action, Behavior)
+            and action.provides
+            and self.state is BehaviorState.RUNNING
+        )
+
+    @property
+    def can_send(self) -> bool:
+        """Whether a get is answered without waiting for a change of state."""
+        return bool(self.outbox) or self.latest is not NOTHING or self.can_provide
+
+    def deliver(self, data: Any, sender: str) -> None:
+        """Put data into the inbox, which has room."""
+        if len(self.inbox) >= self.room:
+            self.make_room()
+        self.inbox.append((sender, data))
+        if self.takers:
+            self.wake()
+
+    def admit(self) -> None:
+        """Take in what waits until it can receive again."""
+        while self.senders.count and self.has_room():
+            request = self.senders.pop()
+            self.deliver(request.data, request.asker)
+            request.end(Outcome.DELIVERED, request.data)
+
+    def give(self, data: Any) -> bool:
+        """Give data to whoever waits for some; tells whether somebody did."""
+        if not self.askers.count:
+            return False
+        request = self.askers.pop()
+        request.offered = self.latest is NOTHING
+        # What was made for it is not needed.
+        request.withdraw(Outcome.DELIVERED, data)
+        return True
+
+    def put_back(self, data: Any) -> None:
+        """Give what an asker did not take, cancelled in that instant, to the next."""
+        if not self.give(data):
+            self.outbox.insert(0, data)
+
+    def wake(self) -> None:
+        """Wake one of those that wait in `receive`."""
+        wake_one(self.takers or ())
+
+    # What the behavior asks.
+
+    def hand(self, receiver: str, data: Any, interval: float) -> bool:
+        """Hand data over if that takes no wait; tells whether it did."""
+        return self.is_quick and self._mediator.hand(
+            data, self.name, receiver, interval
+        )
+
+    def take(self, sender: str, interval: float) -> Any:
+        """Take data that another has offered; `NOTHING` if that has to be waited for."""
+        return (
+            self._mediator.take(sender, self.name, interval)
+            if self.is_quick
+            else NOTHING
+        )
+
+    def put(
+        self, receiver: str, data: Any, interval: float
+    ) -> Coroutine[Any, Any, None]:
+        self.check_speaker()
+        return self._mediator.put(data, self.name, receiver, interval, self)
+
+    def get(self, sender: str, interval: float) -> Coroutine[Any, Any, Any]:
+        """Ask another behavior for data."""
+        self.check_speaker()
+        return self._mediator.get(sender, self.name, interval, self)
+
+    def ask(
+        self,
+        receiver: str,
+        request: Any,
+        timeout: float | None,
+        progress: Callable[[Any], object] | None,
+    ) -> Coroutine[Any, Any, Any]:
+        """Ask another behavior, and wait for its answer."""
+        self.check_speaker()
+        ask = self._mediator.ask
+        return ask(request, self.name, receiver, timeout, progress, self)
+
+    def run_over(self, error: BaseException | None) -> None:
+        """A run has ended: nobody works on what it had taken."""
+        for queue in (self.askers, *self.queues.values()):
+            queue.run_ended(error)
+
+    async def receive(self, timeout: float | None) -> tuple[str, Any]:
+        """Wait for data in the inbox, and take it; returns its sender, too."""
+        loop = asyncio.get_running_loop()
+        deadline = None if timeout is None else loop.time() + timeout
+        while True:
+            self.check_speaker()  # what a removed one has belongs to the remover
+            if self.inbox:
+                break
+            if deadline is not None and loop.time() >= deadline:
+                assert timeout is not None
+                raise BehaviorUnavailableError(
+                    self.name, "receive anything", timeout, self.state.value
+                )
+            taker = loop.create_future()
+            if self.takers is None:
+                self.takers = []
+            self.takers.append(taker)
+            timer = None
+            if deadline is not None:
+                timer = loop.call_at(deadline, wake, taker)
+            try:
+                await taker
+            except asyncio.CancelledError:
+                if self.inbox and not taker.cancelled():
+                    self.wake()  # it was woken in the same tick: wake the next one
+                raise
+            finally:
+                if timer is not None:
+                    timer.cancel()
+                self.takers.remove(taker)
+                if not self.takers:
+                    self.takers = None
+        taken = self.inbox.pop(0)
+        if self.senders.count:
+            self.admit()
+        return taken
+
+    def offer(self, data: Any, latest: bool) -> None:
+        """Lay data out for whoever asks for it."""
+        self.check_speaker()
+        self.latest = data if latest else NOTHING
+        if latest:
+            self.outbox.clear()
+            while self.give(data):
+                continue  # everybody who waits gets it
+            return
+        if self.give(data):
+            return
+        action = self.action
+        assert isinstance(action, Behavior)
+        if len(self.outbox) >= action.outbox_size:
+            if action.outbox_policy == "reject":
+                self.turned_away += 1
+                raise BusyError(self.name, "outbox_size", action.outbox_size)
+            drop = len(self.outbox) if action.outbox_policy == "latest" else 1
+            del self.outbox[:drop]
+            self.dropped += drop
+        self.outbox.append(data)
 
 
 def circle_of_ask(
@@ -73,7 +339,7 @@ def circle_of_get(
     while trail:
         name, path = trail.pop()
         member = members.get(name)
-        if member is not None and member.serves in links:
+        if member is not None and member.askers.current in links:
             return _path(links, giver) if name == giver else [*path, asker]
         for request in _waits(member, _gets(pending, name)):
             other = request.peer
@@ -95,7 +361,7 @@ def _waits(member: Mailbox | None, gets: list[Request]) -> list[Request]:
     if member is None:
         return gets
     if member.can_provide:
-        serves = member.serves
+        serves = member.askers.current
         return [r for r in gets if serves is not None and r.parent is serves]
     tasks = [request.task for request in gets]
     return gets if gets and _all_wait(member, tasks) else []
@@ -108,7 +374,7 @@ def _is_stuck(
     if member is None:
         return True
     if member.can_provide:
-        return member.serves is not None and member.serves in links
+        return member.askers.current is not None and member.askers.current in links
     tasks = [request.task for request in gets]
     return _all_wait(member, [*tasks, asyncio.current_task()])
 
@@ -223,7 +489,7 @@ class Mediator(Ledger):
         if offered is not NOTHING:
             return offered
         request = Request("get", None, receiver, member.askers, by, self)
-        path = circle_of_get(receiver, sender, self.boxes, self.pending.of_asker)
+        path = circle_of_get(receiver, sender, self.boxes, self.of_asker)
         self._begin(request, interval, path)
         member.askers.roused()
         try:
@@ -299,7 +565,7 @@ class Mediator(Ledger):
 
     def asker_ended(self, member: Mailbox, *, removed: bool = False) -> None:
         """End every request of a behavior whose run has ended, whoever waits in it."""
-        for request in tuple(self.pending.of_asker.get(member.name, ())):
+        for request in tuple(self.of_asker.get(member.name, ())):
             if request.by is member:
                 ended = run_ended(member.name)
                 error = BehaviorRemovedError(member.name) if removed else ended
@@ -334,7 +600,10 @@ class Mediator(Ledger):
         for member in self.boxes.values():
             for queue in _queues(member):
                 if queue.count or queue.working:
-                    queue.end_all(Outcome.STOPPING, _stopping)
+                    queue.end_all(
+                        Outcome.STOPPING,
+                        lambda _: StoppingError("behaviors", "stopping"),
+                    )
 
     # Requests that wait.
 
@@ -372,7 +641,7 @@ class Mediator(Ledger):
         try:
             if path:
                 raise CircularRequestError(path)
-            self.pending.check(request.asker)
+            self.check(request.asker)
             request.queue.push(request)
         except (BusyError, CircularRequestError):
             between = request.asker, request.peer
@@ -380,7 +649,7 @@ class Mediator(Ledger):
                 between = request.peer, request.asker
             self.record(request.kind, *between, Outcome.REFUSED)
             raise
-        self.pending.begin(request)
+        self.begin(request)
         if limit is not None:
             deadlines = Deadlines.of(asyncio.get_running_loop())
             request.deadline = deadlines.after(limit, request.expire, limit)
@@ -394,10 +663,6 @@ def _removed(request: Request) -> BehaviorRemovedError:
     return BehaviorRemovedError(
         request.peer, request.data if request.kind == "put" else None
     )
-
-
-def _stopping(_request: Request) -> StoppingError:
-    return StoppingError("behaviors", "stopping")
 
 
 def _finished(member: Mailbox) -> BehaviorFailedError:

@@ -40,11 +40,12 @@ from esair.loop import (
     wake,
 )
 from esair.messages import BehaviorState, BehaviorStatus, is_placed
+from esair.plan import examine_step, refuse
 from esair.supervisors._grants import (
+    BehaviorStep,
     Grants,
     Sight,
     Step,
-    Steps,
     bind,
     fill,
     runner_for,
@@ -59,7 +60,7 @@ from esair.supervisors._life import (
     until_ended,
     where,
 )
-from esair.supervisors._mailbox import Mailbox
+from esair.supervisors._mediator import Mailbox
 from esair.values import check_duration
 
 if TYPE_CHECKING:
@@ -77,29 +78,6 @@ class Member:
     It is also the `Host` that the behavior talks to.
     """
 
-    __slots__ = (
-        "_portal",
-        "_timer",
-        "action",
-        "crew",
-        "detail",
-        "gate",
-        "given_up",
-        "grants",
-        "life",
-        "mail",
-        "name",
-        "over",
-        "ready",
-        "runner",
-        "seat",
-        "sight",
-        "steps",
-        "stream",
-        "task",
-        "used",
-    )
-
     def __init__(
         self, action: Behavior | Reaction, crew: BehaviorDeployment, name: str
     ) -> None:
@@ -111,7 +89,7 @@ class Member:
         self.detail: str = ""
         self.grants: Grants = Grants(name, crew)
         self.runner: ReactionRunner | None = None
-        self.steps: Steps = Steps(name, crew, self.grants)
+        self.steps: tuple[Step | BehaviorStep, ...] = ()
         """What it performs now."""
         self.task: asyncio.Task[BaseException | None] | None = None
         self.ready: asyncio.Future[None] | None = None
@@ -126,7 +104,7 @@ class Member:
         """Its random numbers, made from the robot's seed and its name."""
         self.mail.owner.stream = self.stream
         self._timer: asyncio.TimerHandle | None = None
-        self._portal: Portal | None = None
+        self.portal: Portal | None = None
         self.sight: Sight = Sight(crew.resources.actuators.protections, action, name)
         """What it protects, and whether it sees."""
         self.seat: Seat | None = (
@@ -149,7 +127,7 @@ class Member:
         return await self.crew.managed_by(self.name, verb, *args)
 
     async def register(self, terms: PortTerms) -> SensorPort[Any] | ActuatorPort[Any]:
-        return await self.register_for(self.grants, self._portal, terms)
+        return await self.register_for(self.grants, self.portal, terms)
 
     async def register_for(
         self, grants: Grants, portal: Portal | None, terms: PortTerms
@@ -174,24 +152,32 @@ class Member:
         seat: StepSeat | None = None,
     ) -> bool:
         """Run a reaction until its condition comes true or its time is over."""
-        with self._performing():
-            return await self.steps.perform(
-                *(reaction, self.mail.owner, until, timeout, blind_timeout), seat
-            )
+        self._check_step(reaction)
+        step = Step(reaction, self, until, blind_timeout, seat)
+        with self._performing(step):
+            return await step.run(timeout)
 
     async def perform_behavior(self, behavior: Behavior, timeout: float | None) -> Any:
-        """Run a behavior as a step; returns what its run returns."""
-        with self._performing():
-            return await self.steps.perform_behavior(behavior, self, timeout)
+        """Run a behavior to its end, in the task of its performer."""
+        self._check_step(behavior)
+        step = BehaviorStep(behavior, self)
+        with self._performing(step):
+            return await step.run(timeout)
+
+    def _check_step(self, action: Behavior | Reaction) -> None:
+        self.mail.check_speaker()
+        found = examine_step(self.crew.resources.plan, action, performer=self.name)
+        refuse(found, f"what {self.name} performs is described wrongly")
 
     @contextlib.contextmanager
-    def _performing(self) -> Iterator[None]:
-        self.mail.check_speaker()
+    def _performing(self, step: Step | BehaviorStep) -> Iterator[None]:
         self.crew.performing[self] = None
+        self.steps = (*self.steps, step)
         try:
             yield
         finally:
-            if not self.steps.now:
+            self.steps = tuple(each for each in self.steps if each is not step)
+            if not self.steps:
                 self.crew.performing.pop(self, None)
 
     def halt_robot(self, reason: str) -> Halting:
@@ -215,10 +201,8 @@ class Member:
             runner.stop()
 
     def _runners(self) -> list[ReactionRunner]:
-        found = [] if self.runner is None else [self.runner]
-        if self.steps.now:
-            found.extend(step.runner for step in self.steps.now if step.runner)
-        return found
+        found = (self.runner, *(step.runner for step in self.steps))
+        return [each for each in found if each is not None]
 
     def start(self) -> None:
         self.mail.become(BehaviorState.STARTING)
@@ -233,16 +217,24 @@ class Member:
             self.runner = runner_for(
                 self.action, self.sight, hooks, began, owner, self.seat
             )
-            self._start_runner(self.runner, self.action)
+            missing = [
+                need.resource
+                for need in self.action.needs.values()
+                if not (need.optional or self.grants.is_there(need))
+            ]
+            if missing:
+                self._runs(False, f"{', '.join(missing)} was removed")
+            else:
+                bind(self.runner, self.action, self.grants)
             return
         if self.mail.owner.over:
             self._take_owner()
         if self.seat is not None:
             self.seat.sit(self.mail.owner)
         if not inspect.iscoroutinefunction(self.action.run):
-            self._portal = Portal(self.name, self.mail.owner)
+            self.portal = Portal(self.name, self.mail.owner)
         try:
-            fill(self.action, self, self.grants, self._portal)
+            fill(self.action, self, self.grants, self.portal)
         except BaseException:
             self.fence()
             raise
@@ -251,7 +243,7 @@ class Member:
         self.task = spawn(
             loop, self._live(self.action), name=self.name, owner=self.mail.owner
         )
-        if self._portal is not None:
+        if self.portal is not None:
             self.mail.carriers = (self.task,)
         self.task.add_done_callback(self._ended)
 
@@ -302,7 +294,7 @@ class Member:
     def _run(self, method: Callable[[], Any]) -> Awaitable[object]:
         if inspect.iscoroutinefunction(method):
             return method()  # type: ignore[no-any-return]
-        return (self._portal or Portal(self.name, self.mail.owner)).run(method)
+        return (self.portal or Portal(self.name, self.mail.owner)).run(method)
 
     def _runs(self, running: bool, why: str) -> None:
         self.detail = why
@@ -319,9 +311,7 @@ class Member:
         if running:
             if self.mail.senders.count:
                 self.mail.admit()
-            if self.mail.askers.count:
-                self.mail.askers.roused()
-            for queue in self.mail.queues.values():
+            for queue in (self.mail.askers, *self.mail.queues.values()):
                 if queue.count:
                     queue.roused()
         if before is not self.mail.state:
@@ -334,8 +324,8 @@ class Member:
             _log.info("%s: runs", self.name)
 
     def _is_ready(self) -> None:
-        ready, self.ready = self.ready, None
-        wake(ready)
+        wake(self.ready)
+        self.ready = None
 
     def _ended(self, task: asyncio.Task[BaseException | None]) -> None:
         if task is not self.task or self.mail.is_leaving:
@@ -381,12 +371,12 @@ class Member:
             self.mail.become(BehaviorState.FAILED)
         else:
             self.mail.become(BehaviorState.RESTARTING)
-            if not self.life.restarts.retries:
+            if not self.life.retries:
                 _log.warning(
                     "%s: failed: %s; restart %d in %g s",
                     self.name,
                     describe(error),
-                    self.life.restarts.count,
+                    self.life.restarts,
                     pause,
                     exc_info=raisable(error),
                 )
@@ -419,7 +409,7 @@ class Member:
 
     def uses(self) -> list[Registration]:
         found = list(self.grants.registrations)
-        for step in self.steps.now:
+        for step in self.steps:
             found += step.own
         return found
 
@@ -435,9 +425,9 @@ class Member:
             if registration.reason is None:  # else the robot stops
                 self.crew.resources.control.revoke(registration, reason)
         self.grants.registrations.clear()
-        if self._portal is not None:
-            self._portal.close()
-        for step in self.steps.now:
+        if self.portal is not None:
+            self.portal.close()
+        for step in self.steps:
             if step.portal is not None:
                 step.portal.close()
 
@@ -459,15 +449,20 @@ class Member:
         self.mail.carriers = ()
         if self.seat is not None:
             self.seat.rise()
-        take_back(self.action, self, self._portal)
+        take_back(self.action, self, self.portal)
         self.mail.become(BehaviorState.REMOVED)
 
-    def end_run(self, grace: float) -> Awaitable[None]:
-        """End the run, so that another may begin; awaiting waits until it has ended."""
+    def end_run(self) -> None:
+        """End the run, so that another may begin."""
         self.mail.error = None
         self.sight.blind("it is restarted by the user")
         self._no_more(BehaviorState.RESTARTING)
-        return self._run_ended(grace)
+
+    async def run_ended(self, grace: float) -> None:
+        """Wait until the run has ended, and may begin anew."""
+        await until_ended(living(self.mail.owner), grace)
+        if self.mail.state is not BehaviorState.RESTARTING:
+            raise BehaviorRemovedError(self.name)
 
     def rest(self, why: str) -> None:
         """End the run: it waits for a mode in which it runs."""
@@ -480,7 +475,7 @@ class Member:
         self._is_ready()
         self.task = self.gate = None
         self.mail.carriers = ()
-        self.life.restarts.fill()
+        self.life.fill()
         self._cut_off(None)
 
     def _cut_off(self, error: BaseException | None) -> None:
@@ -490,11 +485,6 @@ class Member:
         self._end_requests()
         self.mail.owner.over = self.mail.outlived = True
         cancel(self.mail.owner)
-
-    async def _run_ended(self, grace: float) -> None:
-        await until_ended(living(self.mail.owner), grace)
-        if self.mail.state is not BehaviorState.RESTARTING:
-            raise BehaviorRemovedError(self.name)
 
     def give_up(self) -> None:
         """End whoever waits for its setup, and what would wait for its turn to run."""
@@ -507,21 +497,6 @@ class Member:
         removed = self.mail.state is BehaviorState.STOPPING
         self.crew.mediator.asker_ended(self.mail, removed=removed)
 
-    @property
-    def portal(self) -> Portal | None:
-        return self._portal
-
-    def _start_runner(self, runner: ReactionRunner, reaction: Reaction) -> None:
-        missing = [
-            need.resource
-            for need in reaction.needs.values()
-            if need.provider not in self.crew.resources.lives and not need.optional
-        ]
-        if missing:
-            self._runs(False, f"{', '.join(missing)} was removed")
-            return
-        bind(runner, reaction, self.grants)
-
     def misfit(self) -> str:
         """Say why it cannot begin anew with what is there now; empty if it can."""
         needs = self.action.needs.values()
@@ -530,11 +505,8 @@ class Member:
 
     def resource_changed(self, resource: str) -> None:
         """Bind an action anew when one of its resources was added or removed."""
-        for step in self.steps.now:
-            for registration in step.uses:
-                if registration.reason is not None and isinstance(step, Step):
-                    step.crash(registration.reason())
-            step.revive(resource)
+        for step in self.steps:
+            step.resource_changed(resource)
         if not self.mail.alive or self.mail.state in _UNBOUND:
             return  # it will be bound anew in any case
         is_gone = resource not in self.crew.resources.lives
@@ -553,27 +525,32 @@ class Member:
             self.try_to_start()
 
     def counts(self) -> dict[str, int]:
-        found = {"restarts": self.life.restarts.count, "inbox": len(self.mail.inbox)}
-        found["waiting"] = self.mail.senders.count
-        found |= {"dropped": self.mail.dropped, "turned_away": self.mail.turned_away}
-        return found | (self.runner.counts() if self.runner is not None else {})
+        mail, runner = self.mail, self.runner
+        return {
+            "restarts": self.life.restarts,
+            "inbox": len(mail.inbox),
+            "waiting": mail.senders.count,
+            "dropped": mail.dropped,
+            "turned_away": mail.turned_away,
+            **(runner.counts() if runner is not None else {}),
+        }
 
     def status(self) -> BehaviorStatus:
-        counts = {} if self.runner is None else self.runner.counts()
+        mail, counts = self.mail, self.counts()
         return BehaviorStatus(
             self.name,
-            self.mail.state,
-            self.mail.can_receive,
-            self.mail.can_send,
-            self.life.restarts.count,
-            self.mail.error,
-            next(filter(None, (each.detail for each in self.steps.now)), self.detail),
+            mail.state,
+            mail.can_receive,
+            mail.can_send,
+            counts["restarts"],
+            mail.error,
+            next(filter(None, (each.detail for each in self.steps)), self.detail),
             counts.get("steps", 0),
             counts.get("late", 0),
-            self.mail.senders.count,
+            counts["waiting"],
             counts.get("overruns", 0),
-            sum(queue.count for queue in self.mail.queues.values()),
-            sum(len(queue.working) for queue in self.mail.queues.values()),
-            self.mail.dropped,
+            sum(queue.count for queue in mail.queues.values()),
+            sum(len(queue.working) for queue in mail.queues.values()),
+            mail.dropped,
             *where(self.seat),
         )

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import asyncio
 import collections
+import concurrent.futures
 import contextvars
 import enum
 import functools
 import inspect
 import logging
-import threading
 import weakref
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -34,8 +34,9 @@ from esair.loop import Deadline, Portal, current_task_of, spawn, wake, wake_one
 from esair.messages import BehaviorState
 
 if TYPE_CHECKING:
-    from esair.supervisors._mailbox import Mailbox
+    from esair.supervisors._mediator import Mailbox
 
+_log = logging.getLogger("esair")
 
 REQUESTS_PER_SENDER = 16  # how many requests of one behavior may wait at a time
 REQUESTS = 4096  # how many requests may wait in a robot at a time
@@ -65,64 +66,45 @@ class Record(NamedTuple):
     outcome: Outcome
 
 
-class Pending:
-    """The requests that wait, by who waits for them."""
+class Ledger:
+    """What is known of all that behaviors ask of one another."""
 
-    def __init__(self) -> None:
-        self.count: int = 0
+    def __init__(self, journal: Journal) -> None:
+        self.journal = journal
+        self.ledger: collections.deque[tuple[str, str, str, Outcome]] = (
+            collections.deque(maxlen=LEDGER_SIZE)
+        )
+        self.of_asker: dict[str, dict[Request, None]] = {}
+        """The requests that each asker waits for, the oldest first."""
+        self.pending: int = 0  # how many those are in all
+        self.delivered: int = 0
         self.turned_away: int = 0
-        self.of_asker: dict[str, dict[Any, None]] = {}
-        """Those of each asker, the oldest first."""
+        self.late_answers: int = 0
+        """How many answers came when nobody waited for them any more."""
+
+    def counts(self) -> dict[str, int]:
+        fields = ("delivered", "pending", "turned_away", "late_answers")
+        return {field: getattr(self, field) for field in fields}
 
     def check(self, asker: str) -> None:
         """Pass if one more request of an asker may wait."""
         if len(self.of_asker.get(asker, ())) >= REQUESTS_PER_SENDER:
             self.turned_away += 1
             raise BusyError(asker, "number of its requests", REQUESTS_PER_SENDER)
-        if self.count >= REQUESTS:
+        if self.pending >= REQUESTS:
             self.turned_away += 1
             raise BusyError("behaviors", "number of requests", REQUESTS)
 
-    def begin(self, request: Any) -> None:
-        self.count += 1
-        others = self.of_asker.get(request.asker)
-        if others is None:
-            self.of_asker[request.asker] = {request: None}
-        else:
-            others[request] = None
+    def begin(self, request: Request) -> None:
+        self.pending += 1
+        self.of_asker.setdefault(request.asker, {})[request] = None
 
-    def end(self, request: Any) -> None:
-        self.count -= 1
+    def end(self, request: Request) -> None:
+        self.pending -= 1
         others = self.of_asker[request.asker]
         del others[request]
         if not others:
             del self.of_asker[request.asker]
-
-
-class Ledger:
-    """What is known of all that behaviors ask of one another."""
-
-    def __init__(self, journal: Journal) -> None:
-        self.journal = journal
-        self.pending: Pending = Pending()
-        self.ledger: collections.deque[tuple[str, str, str, Outcome]] = (
-            collections.deque(maxlen=LEDGER_SIZE)
-        )
-        self.delivered: int = 0
-        self.late_answers: int = 0
-        """How many answers came when nobody waited for them any more."""
-
-    def outcomes(self) -> list[Record]:
-        """Return the last outcomes, the oldest first."""
-        return [Record(*line) for line in self.ledger]
-
-    def counts(self) -> dict[str, int]:
-        return {
-            "delivered": self.delivered,
-            "pending": self.pending.count,
-            "turned_away": self.pending.turned_away,
-            "late_answers": self.late_answers,
-        }
 
     def late(self) -> bool:
         """Count an answer that nobody waits for any more."""
@@ -145,8 +127,6 @@ REQUESTS_PER_TARGET = 64  # how many puts, or gets, to one behavior may wait at 
 
 _NO_NEWS: Any = object()
 
-_DELIVERED = Outcome.DELIVERED
-
 _WANTED = {"put": "receive", "get": "send", "ask": "answer"}
 """What the other side could not do within the time of a request."""
 
@@ -167,19 +147,15 @@ class Request:
         task: The task that waits.
         parent: The request that the asker served when it made this one.
         outer: The request that the peer served already when it took this one.
-        over: Whether it has its outcome.
-        how: What that is.
+        how: Its outcome, when it has one.
         cancelled: Whether that came from elsewhere than from who works on it.
         offered: It was answered with something that is there once only.
     """
 
-    over: bool
-    cancelled: bool
-
-    offered: bool
-
     # Of most requests most of these stay as they are.
-    over = cancelled = offered = waits = False
+    cancelled: bool = False
+    offered: bool = False
+    waits: bool = False
     how: Outcome | None = None
     value: Any = None
     _error: EsairError | None = None
@@ -212,6 +188,11 @@ class Request:
         self.task: Any | None = current_task_of(self._loop)
         self.parent: Request | None = served()
 
+    @property
+    def over(self) -> bool:
+        """Whether it has its outcome."""
+        return self.how is not None
+
     # What the asker does.
 
     async def outcome(self, progress: Callable[[Any], object] | None = None) -> Any:
@@ -240,17 +221,17 @@ class Request:
         """Give it its outcome; tells whether it had none yet."""
         if self.over:
             return False
-        self.over, self.how, self.value, self._error = True, outcome, value, error
+        self.how, self.value, self._error = outcome, value, error
         if self.waits:
             self.queue.forget(self)
         if self.deadline is not None:
             self.deadline.cancel()
             self.deadline = None  # it knows this request: a circle for the collector
         ledger = self._ledger
-        ledger.pending.end(self)
+        ledger.end(self)
         if self.kind != "get":
             ledger.record(self.kind, self.asker, self.peer, outcome, value)
-        elif outcome is not _DELIVERED:
+        elif outcome is not Outcome.DELIVERED:
             # What is got is delivered when it is taken: until then another may get it.
             ledger.record("get", self.peer, self.asker, outcome)
         wake(self._wake)
@@ -332,20 +313,27 @@ def chain() -> Iterator[Request]:
 
 
 class RequestQueue:
-    """Requests of one kind that wait for a behavior; those who ask take turns."""
+    """Requests of one kind that wait for a behavior; those who ask take turns.
+
+    With a method of the behavior that serves them, it does so one at a time, in tasks of
+    their own.
+    """
 
     # Slots: each behavior and reaction has some of these.
-    __slots__ = ("_waiting", "count", "member")
+    __slots__ = ("_waiting", "count", "current", "member", "method", "task")
 
     limit = REQUESTS_PER_TARGET
     bound = "number of requests to it"  # what the limit is of
     outlives = False  # whether what waits outlives a run of the behavior that fails
     working: Mapping[Request, None] = {}  # what was taken, and has no outcome
 
-    def __init__(self, member: Mailbox) -> None:
+    def __init__(self, member: Mailbox, method: str | None = None) -> None:
         self.member: Mailbox = member
+        self.method: str | None = method
         self._waiting: dict[str, collections.deque[Request]] = {}
         self.count: int = 0
+        self.task: asyncio.Task[Done] | None = None
+        self.current: Request | None = None  # what the task is for
 
     def __iter__(self) -> Iterator[Request]:
         return iter([each for queue in self._waiting.values() for each in queue])
@@ -358,10 +346,7 @@ class RequestQueue:
         self._add(request)
 
     def _add(self, request: Request) -> None:
-        queue = self._waiting.get(request.asker)
-        if queue is None:
-            queue = self._waiting[request.asker] = collections.deque()
-        queue.append(request)
+        self._waiting.setdefault(request.asker, collections.deque()).append(request)
         request.waits = True
         self.count += 1
 
@@ -395,6 +380,7 @@ class RequestQueue:
             request = other.pop()
             request.queue = self
             self._add(request)
+        other.task = other.current = None
 
     def end_all(self, outcome: Outcome, error: Callable[[Request], EsairError]) -> None:
         """End what waits and what is worked on."""
@@ -402,17 +388,7 @@ class RequestQueue:
         for request in (*self.working, *waiting):
             request.withdraw(outcome, error=error(request))
 
-
-class ServedQueue(RequestQueue):
-    """Requests that a method of the behavior serves, one at a time, in tasks of their own."""
-
-    __slots__ = ("current", "method", "task")
-
-    def __init__(self, member: Mailbox, method: str | None) -> None:
-        super().__init__(member)
-        self.method: str | None = method
-        self.task: asyncio.Task[Done] | None = None
-        self.current: Request | None = None  # what the task is for
+    # By a method.
 
     @property
     def can_serve(self) -> bool:
@@ -460,11 +436,6 @@ class ServedQueue(RequestQueue):
     def done_with(self, request: Request) -> None:
         """Nobody works on a request any more."""
 
-    def adopt(self, other: RequestQueue) -> None:
-        super().adopt(other)
-        assert isinstance(other, ServedQueue)
-        other.task = other.current = None
-
     def run_ended(self, error: BaseException | None) -> None:
         """A run has ended: nobody works on what it had taken."""
         for request in (*self.working, self.current):
@@ -495,9 +466,6 @@ async def do_for(request: Request, member: Mailbox, method: str) -> Done:
         return None, error
 
 
-_log = logging.getLogger("esair")
-
-
 class Order(Request):
     """A request that is answered, by who has taken it, in whatever thread."""
 
@@ -525,7 +493,7 @@ class Order(Request):
         return self._in_loop(self._answer, value)
 
     def refuse(self, reason: str) -> bool:
-        return self._in_loop(self._refuse, reason)
+        return self._in_loop(self._refuse, str(reason))
 
     def progress(self, value: Any) -> bool:
         return self._in_loop(self._progress, value)
@@ -574,7 +542,7 @@ class Order(Request):
         return self.end(Outcome.ANSWERED, value) or self._ledger.late()
 
     def _refuse(self, reason: str) -> bool:
-        refused = RefusedError(str(reason), self.peer)
+        refused = RefusedError(reason, self.peer)
         return self.end(Outcome.REFUSED, error=refused) or self._ledger.late()
 
     def _progress(self, value: Any) -> bool:
@@ -613,24 +581,15 @@ class Order(Request):
     def _in_loop(self, function: Callable[[Any], bool], value: Any) -> bool:
         if not _is_elsewhere(self._loop):
             return function(value)
-        outcome: list[bool] = []
-        ready = threading.Event()
-
-        def call() -> None:
-            try:
-                outcome.append(function(value))
-            finally:
-                ready.set()
-
+        told: concurrent.futures.Future[bool] = concurrent.futures.Future()
         try:
-            self._loop.call_soon_threadsafe(call)
+            self._loop.call_soon_threadsafe(lambda: told.set_result(function(value)))
         except RuntimeError:  # the loop is closed: nobody waits any more
             return False
-        ready.wait()
-        return outcome[0]
+        return told.result()
 
 
-class OrderQueue(ServedQueue):
+class OrderQueue(RequestQueue):
     """The orders of one type for one behavior; it is the source of its port.
 
     Orders that wait outlive a run of the behavior; those that are worked on do not.

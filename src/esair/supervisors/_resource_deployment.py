@@ -38,16 +38,14 @@ from esair.messages import (
     Modes,
     Policy,
     ResourceState,
-    Restart,
     is_placed,
 )
 from esair.plan import UNWATCHED, Plan, depths, when_alone
 from esair.resources import APPLIED, Actuator, Resource, Sensor
 from esair.supervisors._command_queue import CommandQueue
-from esair.supervisors._control_path import ControlPath, Declared, Rules
+from esair.supervisors._control_path import ControlPath, Declared
 from esair.supervisors._life import side_by_side
-from esair.supervisors._opening import DerivedOpener, Opener
-from esair.supervisors._resource_life import ResourceLife
+from esair.supervisors._resource_life import DerivedOpener, Opener, ResourceLife
 
 if TYPE_CHECKING:
     from esair.buses import Bus
@@ -129,21 +127,16 @@ class ResourceDeployment:
         self.lives: dict[str, ResourceLife] = {}
         self._derived: dict[str, DerivedOpener] = {}
         self._leaving: set[str] = set()
-        rules = Rules(policies, registrations, declared, modes.meet)
+        self.control: ControlPath = ControlPath(
+            *(registrations, policies, declared, modes.meet),
+            *(self.lives, self._leaving, sensors, actuators),
+        )
         self.plan: Plan = Plan(
-            policies=tuple(rules.policies.values()),
+            policies=tuple(self.control.policies.values()),
             modes=modes,
-            writers=rules.writers_of,
+            writers=self.control.writers_of,
         )
         """This robot as the rulebook sees it, with its actions: always as it is now."""
-        self.control: ControlPath = ControlPath(
-            registrations,
-            rules,
-            self.lives,
-            self._leaving,
-            sensors,
-            actuators,
-        )
         path = Control(self.control.configure, self.control.operate)
         sensors.control = actuators.control = path
         self._grace = grace
@@ -156,9 +149,8 @@ class ResourceDeployment:
         """Tells in which mode the robot is; set by its behaviors."""
         self.seed = 0
         """What the random numbers of its components begin with; set by the robot."""
-        self.began: float = (
-            0.0  # when the robot has started, in seconds of the loop's clock
-        )
+        self.began: float = 0.0
+        """When the robot has started, in seconds of the loop's clock."""
         self.armory: Armory | None = None
         """The second process that makes safe what this one cannot; the robot's."""
         self.buses: list[Bus] = []
@@ -187,18 +179,11 @@ class ResourceDeployment:
         """Say what becomes of an actuator when this process dies, or this computer."""
         life = self.life(name)
         assert isinstance(life.resource, Actuator)
-        why = (
-            "the robot has no watchdog"
-            if life.device.watch is None
-            else life.device.watch.why
-        )
-        process = (
-            f"{UNWATCHED}, {why}" if why else "the watchdog sends its safe command"
-        )
-        return (
-            f"when this process dies: {process}; "
-            f"when this computer dies: {when_alone(life.resource)}"
-        )
+        watch, process = life.device.watch, "the watchdog sends its safe command"
+        if why := "the robot has no watchdog" if watch is None else watch.why:
+            process = f"{UNWATCHED}, {why}"
+        alone = when_alone(life.resource)
+        return f"when this process dies: {process}; when this computer dies: {alone}"
 
     def resting_writers(self, name: str) -> tuple[str, ...]:
         """Say who would write an actuator in another mode than this one."""
@@ -216,10 +201,10 @@ class ResourceDeployment:
         self, resource: Resource, channel: SensorChannel | ActuatorChannel | None = None
     ) -> ResourceLife:
         """Begin to open a device; with a channel: in the place of another one."""
-        restart = getattr(resource, "restart", None)
+        name = resource.name
 
         def on_error(error: Exception) -> None:
-            current = self.lives.get(resource.name)
+            current = self.lives.get(name)
             if current is not None:
                 current.on_error(error)
 
@@ -228,30 +213,20 @@ class ResourceDeployment:
         seat = self.seat_for(resource) if is_placed(resource) else None
         if seat is not None:
             seat.sit()  # before anybody asks for its methods
+        robot = OfRobot(self.registrations, on_error, self.left)
         if channel is not None:
             channel.attach(resource)  # type: ignore[arg-type]
-        if channel is None:
-            robot = OfRobot(self.registrations, on_error, self.left)
-            if isinstance(resource, Actuator):
-                channel = ActuatorChannel(resource, robot)
-                self.actuators.channels[resource.name] = channel
-                self.actuators.protections.appear(resource.name)
-            else:
-                assert isinstance(resource, Sensor)
-                kind = DerivedChannel if resource.is_computed else SensorChannel
-                channel = kind(resource, robot)
-                self.sensors.channels[resource.name] = channel
-        policy = restart if isinstance(restart, Restart) else Restart()
-        opener: Opener
-        if isinstance(channel, DerivedChannel) and isinstance(resource, Derived):
-            opener = DerivedOpener(resource, channel, self)
-            self._derived[resource.name] = opener
+        elif isinstance(resource, Actuator):
+            channel = self.actuators.channels[name] = ActuatorChannel(resource, robot)
+            self.actuators.protections.appear(name)
         else:
-            opener = Opener(resource, channel, self.armory)
-
-        life = ResourceLife(resource, channel, policy, opener)
-        life.seat = seat
-        self.lives[resource.name] = life
+            assert isinstance(resource, Sensor)
+            kind = DerivedChannel if resource.is_computed else SensorChannel
+            channel = self.sensors.channels[name] = kind(resource, robot)
+        opener = Opener(resource, channel, self.armory)
+        if isinstance(channel, DerivedChannel) and isinstance(resource, Derived):
+            opener = self._derived[name] = DerivedOpener(resource, channel, self)
+        life = self.lives[name] = ResourceLife(resource, channel, opener, seat)
         self.plan.enter_resource(resource)
         life.start()
         return life
@@ -335,7 +310,7 @@ class ResourceDeployment:
             self.came(name, resource, "in its place")
             return new
         finally:
-            if self.lives.get(name) is life and keep:
+            if self.lives.get(name) is life:
                 channel.error = DeviceLostError(name, "nothing took its place")
             self._has_departed(name)
 
@@ -473,11 +448,9 @@ class ResourceDeployment:
     async def rearm(self) -> None:
         """Have everything watched that is open: there is a new watchdog process."""
         for life in tuple(self.lives.values()):
-            if (
-                life.device.watch is not None
-                and life.channel.state is ResourceState.READY
-            ):
-                await life.device.watch.arm()
+            watch = life.device.watch
+            if watch is not None and life.channel.state is ResourceState.READY:
+                await watch.arm()
 
     def watches(self) -> list[Watch]:
         """Return the eyes of the watchdog, one on each actuator."""
@@ -503,9 +476,8 @@ class ResourceDeployment:
         ends = [self._undeploy(name, closed, until) for name in stay]
         await side_by_side([*ends, *self.commands.left(until)])
         if self.lives:
-            await side_by_side(
-                [self._undeploy(name, closed, until) for name in tuple(self.lives)]
-            )
+            ends = [self._undeploy(name, closed, until) for name in tuple(self.lives)]
+            await side_by_side(ends)
         if self.buses:
             await close_buses(self.buses)
         if self._seats is not None:

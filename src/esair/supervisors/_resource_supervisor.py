@@ -11,7 +11,7 @@ from esair.connections import Call, Registration, Terms
 from esair.exceptions import EsairError
 from esair.loop import VERB_COST, Budget
 from esair.messages import Access, ResourceStatus, SupervisorPhase, Why
-from esair.plan import Finding, examine_resource, in_use, refuse
+from esair.plan import examine_resource, in_use, refuse
 from esair.resources import Actuator, Resource, adapt_resource
 from esair.supervisors._resource_deployment import ResourceDeployment
 from esair.supervisors._resource_life import ResourceLife
@@ -19,6 +19,9 @@ from esair.values import check_name, same_type
 
 if TYPE_CHECKING:
     from esair.buses import Bus
+
+
+_DESCRIBED_WRONGLY = "the resource is described wrongly"
 
 
 class ResourceSupervisor(abc.Supervisor):
@@ -97,19 +100,13 @@ class ResourceSupervisor(abc.Supervisor):
         held = self._deployment.actuators.channel(name).why()
         protections = self._deployment.actuators.protections.of(name)
         holds = {each.component for each in protections if not each.guards}
-        writers = sorted(
-            (
-                r
-                for r in self._deployment.registrations.of_resource(name)
-                if Access.WRITE in r.access
-            ),
-            key=lambda each: (-each.priority, each.behavior),
-        )
+        rights = self._deployment.registrations.of_resource(name)
         return held._replace(
             writers=tuple(
                 f"{each.behavior} writes with priority {each.priority}; when blind: "
                 f"{'safe' if each.behavior in holds else 'release'}"
-                for each in writers
+                for each in sorted(rights, key=lambda r: (-r.priority, r.behavior))
+                if Access.WRITE in each.access
             ),
             guards=tuple(each.describe() for each in protections),
             dies=self._deployment.dies(name),
@@ -134,7 +131,7 @@ class ResourceSupervisor(abc.Supervisor):
 
         async def work() -> None:
             await self._deployment.gone(getattr(added, "name", ""))
-            self._refuse(examine_resource(self._deployment.plan, added))
+            refuse(examine_resource(self._deployment.plan, added), _DESCRIBED_WRONGLY)
             life = self._deployment.deploy(added)
             self._commands.changed()
             try:
@@ -206,7 +203,7 @@ class ResourceSupervisor(abc.Supervisor):
             if isinstance(added, Resource) and not in_use(added):
                 added._name = check_name("resource", name)  # noqa: SLF001 - a supervisor gives names
             plan = self._deployment.plan
-            self._refuse(examine_resource(plan, added, instead_of=old))
+            refuse(examine_resource(plan, added, instead_of=old), _DESCRIBED_WRONGLY)
             same_kind = isinstance(old, Actuator) is isinstance(added, Actuator)
             keep = same_kind and same_type(added.value_type, old.value_type)
             return await self._deployment.replace(name, added, keep=keep, until=until)
@@ -274,8 +271,7 @@ class ResourceSupervisor(abc.Supervisor):
         Raises:
             NotRegisteredError: The registration is not valid.
             AccessDeniedError: It does not include CONFIGURE.
-            BadValueError: A setting is unknown or a value is not allowed; every
-                mistake is named, nothing was changed.
+            BadValueError: Every mistake is named, nothing was changed.
             DeviceLostError: The device is not there.
             DeviceFaultError: The device did not take it; it was put back.
             DriverStuckError: The device did not answer in time; it was put back.
@@ -302,19 +298,10 @@ class ResourceSupervisor(abc.Supervisor):
             AccessDeniedError: It does not include CONFIGURE, or somebody holds the
                 actuator, or has made it safe meanwhile.
             HaltedError: The robot is halted, or was halted meanwhile.
-            UnknownNameError: The resource has no such operation.
-            BadValueError: A parameter is unknown, missing, or not allowed; every
-                mistake is named.
             BusyError: Too many operations wait.
-            DeviceLostError: The device is not there, or went away.
-            DeviceFaultError: The device answered wrongly.
-            DriverStuckError: It did not end within its deadline.
+            EsairError: As `SensorPort.operate`.
         """
         return await self._control.operate(registration, name, **parameters)
-
-    @staticmethod
-    def _refuse(found: list[Finding]) -> None:
-        refuse(found, "the resource is described wrongly")
 
 
 def admit(
