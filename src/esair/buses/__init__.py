@@ -18,8 +18,8 @@ from esair.loading import late
 
 if TYPE_CHECKING:
     from esair.buses._exchanges import Exchange, Exchanges
-    from esair.buses._failures import Failures
-    from esair.buses._inbox import Awaited, Inbox
+    from esair.buses._fakes import Awaited, Failures
+    from esair.buses._inbox import Inbox
     from esair.buses._link_bus import LinkBus
     from esair.buses._opening import open_on, shut_on
     from esair.buses.can import (
@@ -67,9 +67,9 @@ _late, _ = late(
     {
         "can": "CanBus CanState Frame FrameKind FrameLink python_can",
         "_exchanges": "Exchange Exchanges",
-        "_failures": "Failures",
+        "_fakes": "Awaited Failures",
         "i2c": "I2CBus MessageLink RegisterLink",
-        "_inbox": "Inbox Awaited",
+        "_inbox": "Inbox",
         "_link_bus": "LinkBus",
         "serial": "SerialBus SerialLink",
         "_opening": "open_on shut_on",

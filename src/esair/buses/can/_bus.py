@@ -16,15 +16,16 @@ from esair.buses.can._frame import (
     ErrorFrame,
     Filter,
     Frame,
+    FrameInbox,
     FrameKind,
     FrameLink,
     Ids,
+    NewestInbox,
     check_data,
     decode_error,
     filters_of,
     key_of,
 )
-from esair.buses.can._inbox import FrameInbox, NewestInbox
 from esair.exceptions import (
     BusyError,
     ConfigError,

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from esair.buses._bus import listen
-from esair.buses._failures import Failures
-from esair.buses._inbox import Awaited, Sent
-from esair.buses.mqtt._bus import MqttBus
-from esair.buses.mqtt._wire import Message, MqttWire, matches
+from esair.buses._fakes import Fake
+from esair.buses.mqtt._bus import Message, MqttBus, MqttWire, matches
 
 SENT_LIMIT = 4096
 """How many messages of the robot are kept; then the newest win."""
 
 
-class FakeMqtt(MqttBus):
+class FakeMqtt(Fake[Message, str], MqttBus):
     """A broker in memory that does what its test tells it.
+
+    ``until(wanted, timeout=1.0)`` waits for a message of the robot, by its topic or a
+    condition, and returns the newest; ``fail(error, after=0, times=1)`` raises an error
+    from what it publishes, and an `OSError` is a loss.
 
     Args:
         name: The name of the bus.
@@ -31,10 +33,9 @@ class FakeMqtt(MqttBus):
     def __init__(self, name: str = "mqtt", **options: Any) -> None:
         self._far = _Memory(self)
         super().__init__(name=name, wire=self._far, **options)
-        self.sent: Sent[Message] = Sent(maxlen=SENT_LIMIT)
+        self._begin(SENT_LIMIT)
         self.kept: dict[str, Message] = {}
         self._on_message: list[Callable[[Message], None]] = []
-        self._until: Awaited[Message] = Awaited()
 
     def feed(self, topic: str, payload: bytes | str, *, retain: bool = False) -> None:
         """Publish a message as another client does."""
@@ -43,40 +44,6 @@ class FakeMqtt(MqttBus):
     def on_message(self, listener: Callable[[Message], None]) -> Callable[[], None]:
         """Call a function with each message of the robot; returns how to stop that."""
         return listen(self._on_message, listener)
-
-    async def until(
-        self, wanted: str | Callable[[Message], bool], *, timeout: float = 1.0
-    ) -> Message:
-        """Wait until the robot has published a message, and return the newest.
-
-        Args:
-            wanted: A topic, or a condition on a message.
-            timeout: How long to wait, in seconds.
-
-        Raises:
-            TimeoutError: It did not come; the last messages are in the error.
-        """
-        return await self._until.until(
-            wanted if callable(wanted) else lambda message: message.topic == wanted,
-            reversed(self.sent),
-            timeout,
-            lambda: (
-                f"{self.name}: {wanted!r} did not come in {timeout:g} s; "
-                f"the last messages are {self.sent[-5:]!r}"
-            ),
-        )
-
-    def fail(
-        self, error: BaseException, *, after: int = 0, times: int | None = 1
-    ) -> None:
-        """Raise an error from what the robot publishes; an `OSError` is a loss.
-
-        Args:
-            error: What to raise.
-            after: How many go well before.
-            times: How many fail; None for all from then on.
-        """
-        self._far.failures.add(error, after, times)
 
     def stall(self) -> None:
         """Acknowledge nothing and pass nothing on, until `resume`."""
@@ -95,10 +62,20 @@ class FakeMqtt(MqttBus):
         self._far.plugged = True
         self.arrived()
 
+    def failed_now(self) -> None:
+        """Raise what is to fail now."""
+        self._failures.check()
+
+    def _is(self, item: Message, wanted: str) -> bool:
+        return item.topic == wanted
+
+    def _there(self) -> Iterable[Message]:
+        return reversed(self.sent)
+
     def came(self, message: Message) -> None:
         """Take a message of the robot, as the other clients do."""
         self.sent.append(message)
-        self._until.came(message)
+        self._awaited.came(message)
         for listener in tuple(self._on_message):
             listener(message)
 
@@ -110,7 +87,6 @@ class _Memory(MqttWire):
         self.plugged = True
         self.go = asyncio.Event()
         self.go.set()
-        self.failures = Failures()
         self.links: list[_Link] = []
 
     async def connect(
@@ -164,7 +140,7 @@ class _Link:
 
     async def publish(self, message: Message, timeout: float) -> None:
         await self._answered()
-        self._broker.failures.check()
+        self._broker.bus.failed_now()
         self._loop.call_soon(self._pass_on, message)
 
     async def subscribe(self, pattern: str, timeout: float) -> None:

@@ -13,8 +13,13 @@ from esair.buses._bus import Bus, Wire
 from esair.buses._exchanges import LATE_LIMIT, Exchange, Exchanges
 from esair.buses._inbox import Inbox, within
 from esair.buses.serial._line import Line, SerialLink
-from esair.buses.serial._place import SerialPlace
-from esair.buses.serial._port import Port, close_port, link_of, reach_port
+from esair.buses.serial._port import (
+    Port,
+    SerialPlace,
+    close_port,
+    link_of,
+    reach_port,
+)
 from esair.exceptions import (
     BusyError,
     ConfigError,

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Mapping
 from typing import Protocol
 
 import attrs
 
-from esair.buses._failures import os_error
-from esair.buses._played import PlayedBus, PlayedWire
+from esair.buses._fakes import ChipsWire, PlayedBus
 from esair.buses.i2c import Registers
 from esair.buses.spi._bus import SpiBus
 from esair.buses.spi._kernel import SpiLink
@@ -43,28 +41,6 @@ class SpiRegisters(Registers):
         return b"\xff" + self.read(register, len(rest))
 
 
-class SpiChips(PlayedWire):
-    """An SPI bus in memory.
-
-    Args:
-        chips: The chips by their chip selects. One without a chip reads as 0xFF.
-    """
-
-    def __init__(self, chips: dict[int, SpiChip]) -> None:
-        super().__init__(chips)
-
-    def exchange(self, chip: int, data: bytes, speed: int, mode: int) -> bytes:
-        """Make a transfer."""
-        self.hold()
-        if not self.plugged:
-            raise os_error(errno.ENODEV)
-        self.fail_if_told(chip)
-        if chip not in self.chips or not self.powered:
-            return b"\xff" * len(data)
-        back: bytes = self.chips[chip].exchange(data)
-        return back
-
-
 @attrs.frozen
 class Exchange:
     """One transfer.
@@ -84,9 +60,20 @@ class Exchange:
     mode: int
 
 
-class _Logged(SpiChips):
+class SpiChips(ChipsWire):
+    """An SPI bus in memory.
+
+    Args:
+        chips: The chips by their chip selects. One without a chip reads as 0xFF.
+    """
+
     def exchange(self, chip: int, data: bytes, speed: int, mode: int) -> bytes:
-        back = super().exchange(chip, data, speed, mode)
+        """Make a transfer."""
+        self.hold()
+        self.check(chip)
+        back = b"\xff" * len(data)
+        if chip in self.chips and self.powered:
+            back = self.chips[chip].exchange(data)
         self.log.append(Exchange(chip, data, back, speed, mode))
         return back
 
@@ -105,7 +92,7 @@ class FakeSpi(PlayedBus[SpiLink], SpiBus):
         >>> bus.stretch(0.01)
     """
 
-    link: _Logged
+    link: SpiChips
 
     def __init__(
         self,
@@ -114,7 +101,7 @@ class FakeSpi(PlayedBus[SpiLink], SpiBus):
         *,
         timeout: float = 0.2,
     ) -> None:
-        super().__init__(name, _Logged, SpiRegisters, chips, timeout=timeout)
+        super().__init__(name, SpiChips, SpiRegisters, chips, timeout=timeout)
 
     @property
     def chips(self) -> dict[int, SpiChip]:
