@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import attrs
 
 from esair.exceptions import DeviceLostError, DriverStuckError, describe
-from esair.loop import Executor, spawn, wake
+from esair.loop import Executor, look_at, spawn, wake
 from esair.values import check_name
 from esair.watchdog import Outlet
 
@@ -159,7 +159,7 @@ class Bus(abc.ABC):
             loop = asyncio.get_running_loop()
             opening = spawn(loop, self._open_once(), name=f"open bus {self.name}")
             self._opening = opening
-            opening.add_done_callback(_heard)
+            opening.add_done_callback(look_at)  # who waited may be cancelled
         # Not awaited itself: if it is cancelled by a close, its callers are not.
         await asyncio.wait({opening})
         if opening.cancelled():
@@ -201,7 +201,12 @@ class Bus(abc.ABC):
 
     def _keep_watch(self) -> None:
         """Look out for the wire while somebody waits for it, and for its departure."""
-        looks, told, seen = self._to_watch()
+        looks: Callable[[], Hashable | None] | None = None
+        told: Callable[[], None] | None = None
+        if self.is_open and self._still_there is not None:
+            looks, told, seen = self._look_after, self._departed, None
+        elif self._is_missed and self._on_arrival and self._presence is not None:
+            looks, told, seen = self._presence, self.arrived, self._seen_first
         if told == self._watched:
             return
         self._watched = told
@@ -214,17 +219,6 @@ class Bus(abc.ABC):
             # Without a thread or a descriptor left the devices still try by themselves.
             with contextlib.suppress(OSError, RuntimeError):
                 self._end_of_watch = watch(looks, told, seen=seen)
-
-    def _to_watch(
-        self,
-    ) -> tuple[
-        Callable[[], Hashable | None] | None, Callable[[], None] | None, Hashable | None
-    ]:
-        if self.is_open and self._still_there is not None:
-            return self._look_after, self._departed, None
-        if self._is_missed and self._on_arrival and self._presence is not None:
-            return self._presence, self.arrived, self._seen_first
-        return None, None, None
 
     def _look_after(self) -> Hashable | None:
         assert self._still_there is not None
@@ -373,6 +367,14 @@ class Bus(abc.ABC):
         far_end.on_plug(self.arrived)
         return far_end
 
+    def loss(self, error: BaseException) -> DeviceLostError:
+        """Return an error as the loss of the bus that it is."""
+        if isinstance(error, DeviceLostError):
+            return error
+        loss = DeviceLostError(self.name, describe(error))
+        loss.__cause__ = error
+        return loss
+
     def failed(self, error: E) -> E:
         """Count an error of the bus, and return it to be raised."""
         self.stats.errors += 1
@@ -387,12 +389,6 @@ class Bus(abc.ABC):
         if self.error is not None:
             state = describe(self.error)
         return f"<{type(self).__name__} {self.name!r} {state}>"
-
-
-def _heard(opening: asyncio.Task[None]) -> None:
-    """Have heard of an error, also if all who waited for it have been cancelled."""
-    if not opening.cancelled():
-        opening.exception()
 
 
 def wanted() -> bool:

@@ -376,8 +376,7 @@ class CanBus(Bus):
                 self.failed(error)
             raise
         except OSError as error:
-            loss = DeviceLostError(self.name, describe(error))
-            loss.__cause__ = error
+            loss = self.loss(error)
             if self._outbox.link is link:
                 self._gone(self._epoch, loss)
             raise loss from error
@@ -470,24 +469,18 @@ class CanBus(Bus):
 
     def _received(self, frame: Frame) -> None:
         inboxes = self._routes[frame.id | EXTENDED if frame.extended else frame.id]
-        if frame.kind is not _DATA or not inboxes:
-            self._unusual(frame, heard=bool(inboxes))
-            return
-        self.stats.received += 1
-        self._unacknowledged = False
-        for inbox in inboxes:
-            inbox.offer(frame)
-
-    def _unusual(self, frame: Frame, *, heard: bool) -> None:
         if frame.kind is FrameKind.ERROR:
             self._heed(decode_error(frame.id, frame.data))
             return
-        self.stats.received += 1
+        stats = self.stats
+        stats.received += 1
         self._unacknowledged = False
-        if heard:  # a remote frame where data are expected
-            self.stats.bad_frames += 1
-        else:
-            self.stats.unheard += 1
+        if frame.kind is _DATA:
+            for inbox in inboxes:
+                inbox.offer(frame)
+        elif inboxes:  # a remote frame where data are expected
+            stats.bad_frames += 1
+        stats.unheard += not inboxes
 
     def _heed(self, error: ErrorFrame) -> None:
         stats = self.stats
@@ -521,24 +514,18 @@ class CanBus(Bus):
                 )
 
     def _in_bad_state(self, state: CanState) -> DeviceLostError:
+        told = f"the controller is error-{state.name.lower()}, as lost_when says"
         if state is CanState.BUS_OFF:
-            set_up = f"ip link set {self.channel} down; ip link set {self.channel} up"
-            how = f" ({set_up})" if self._of_kernel else ""
-            return DeviceLostError(
-                self.name, f"the controller is bus-off: it must be started again{how}"
-            )
-        word = state.name.lower()
-        return DeviceLostError(
-            self.name, f"the controller is error-{word}, as lost_when says"
-        )
+            told = "the controller is bus-off: it must be started again"
+            if self._of_kernel:
+                set_up = f"ip link set {self.channel}"
+                told += f" ({set_up} down; {set_up} up)"
+        return DeviceLostError(self.name, told)
 
     def _gone(self, epoch: int, error: Exception) -> None:
         if epoch != self._epoch:
             return
-        loss = error
-        if not isinstance(error, DeviceLostError):
-            loss = DeviceLostError(self.name, describe(error))
-            loss.__cause__ = error
+        loss = self.loss(error)
         if not self.is_open:
             self._lost_in_opening = self._lost_in_opening or loss
             return

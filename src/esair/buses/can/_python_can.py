@@ -259,8 +259,9 @@ class ThreadNode:
             maxlen=self.inbox_limit
         )
         self._announced = False
-        self._counted = threading.Lock()
-        self._unheard = self._dropped = self._bad = 0
+        self._seen = [0, 0, 0]
+        """Unheard, dropped and bad frames; only the thread adds."""
+        self._counted = [0, 0, 0]
         self._beats = 0
         self._missed_beats = 0
         self._reader = threading.Thread(
@@ -344,14 +345,12 @@ class ThreadNode:
             if number not in self._wanted and not any(
                 number & mask == key for key, mask in self._masks
             ):
-                with self._counted:
-                    self._unheard += 1
+                self._seen[0] += 1
                 return None
             if message.is_remote_frame:
                 kind = FrameKind.REMOTE
             elif message.is_fd and not self._fd:
-                with self._counted:
-                    self._bad += 1
+                self._seen[2] += 1
                 return None
         return Frame(
             message.arbitration_id,
@@ -363,8 +362,7 @@ class ThreadNode:
 
     def _put(self, frame: Frame) -> None:
         if len(self._incoming) == self.inbox_limit:
-            with self._counted:
-                self._dropped += 1
+            self._seen[1] += 1
         self._incoming.append(frame)
         if not self._announced:
             self._announced = True
@@ -380,14 +378,14 @@ class ThreadNode:
 
     def _count(self) -> None:
         """Add what the thread has counted, which only the event loop may do."""
-        with self._counted:
-            unheard, dropped, bad = self._unheard, self._dropped, self._bad
-            self._unheard = self._dropped = self._bad = 0
+        seen = self._seen.copy()
+        new = [now - before for now, before in zip(seen, self._counted, strict=True)]
+        self._counted = seen
         stats = self._stats
-        stats.received += unheard + dropped + bad
-        stats.unheard += unheard
-        stats.dropped += dropped
-        stats.bad_frames += bad
+        stats.received += sum(new)
+        stats.unheard += new[0]
+        stats.dropped += new[1]
+        stats.bad_frames += new[2]
 
     def _check(self, beats: int) -> None:
         self._count()
@@ -448,7 +446,7 @@ def python_can(
     ) -> FrameLink:
         bus, state = await open_on(
             executor,
-            _Opening(executor.name, interface, channel, options).make,
+            lambda: _open(executor.name, interface, channel, options),
             lambda opened: shut_bus(opened[0]),
             timeout=OPEN_TIMEOUT,
         )
@@ -469,91 +467,66 @@ def python_can(
     return opener
 
 
-class _Opening:
-    """One try to open an interface, on the executor."""
+def _open(
+    owner: str, interface: str, channel: str, options: dict[str, Any]
+) -> tuple[Any, CanState | None]:
+    """Open an interface, blocking; its state is that of SocketCAN, or None."""
+    import can
 
-    def __init__(
-        self, owner: str, interface: str, channel: str, options: dict[str, Any]
-    ) -> None:
-        self._owner = owner
-        self._interface = interface
-        self._channel = channel
-        self._options = options
-
-    def make(self) -> tuple[Any, CanState | None]:
-        """Open the interface, blocking; its state is that of SocketCAN, or None."""
-        bus = self._open()
-        try:
-            return bus, self._state(bus)
-        except BaseException:
-            shut_bus(bus)
+    if interface == "socketcan":
+        # SocketcanBus forgets its descriptor when it cannot bind it.
+        _look(owner, channel, options)
+    field = "interface"
+    try:
+        bus = can.Bus(channel=channel, interface=interface, **options)
+    except can.CanInterfaceNotImplementedError as error:
+        known = ", ".join(sorted(can.VALID_INTERFACES))
+        told = f"cannot be used: {describe(error)}; python-can knows {known}"
+        raise ConfigError(owner, field, f"{interface!r} {told}") from error
+    except ImportError as error:
+        told = f"{interface!r} needs another package: {describe(error)}"
+        raise ConfigError(owner, field, told) from error
+    except can.CanError as error:
+        raise ConnectionError(describe(error)) from error
+    except (TypeError, ValueError) as error:
+        if isinstance(error, OSError):
             raise
-
-    def _open(self) -> Any:
-        import can
-
-        if self._interface == "socketcan":
-            # SocketcanBus forgets its descriptor when it cannot bind it.
-            self._check(_can_interface.look_up(self._channel))
-        try:
-            return can.Bus(
-                channel=self._channel, interface=self._interface, **self._options
-            )
-        except can.CanInterfaceNotImplementedError as error:
-            known = ", ".join(sorted(can.VALID_INTERFACES))
-            raise ConfigError(
-                self._owner,
-                "interface",
-                f"{self._interface!r} cannot be used: {describe(error)}; "
-                f"python-can knows {known}",
-            ) from error
-        except ImportError as error:
-            raise ConfigError(
-                self._owner,
-                "interface",
-                f"{self._interface!r} needs another package: {describe(error)}",
-            ) from error
-        except (TypeError, ValueError) as error:
-            if isinstance(error, OSError):
-                raise
-            raise ConfigError(
-                self._owner,
-                "options",
-                f"python-can's {self._interface!r} does not take them: {describe(error)}",
-            ) from error
-        except can.CanError as error:
-            raise ConnectionError(describe(error)) from error
-
-    def _state(self, bus: Any) -> CanState | None:
+        told = f"python-can's {interface!r} does not take them: {describe(error)}"
+        raise ConfigError(owner, "options", told) from error
+    try:
         if not _is_socket_can(bus):
-            return None
+            return bus, None
         if bus.socket.family != socket.AF_CAN:  # a stand-in without the kernel's CAN
-            return CanState.ACTIVE
-        found = _can_interface.look_up(self._channel)
-        self._check(found)
-        return found.state
+            return bus, CanState.ACTIVE
+        return bus, _look(owner, channel, options)
+    except BaseException:
+        shut_bus(bus)
+        raise
 
-    def _check(self, found: _can_interface.Interface) -> None:
-        if not found.is_up:
-            raise ConnectionError(
-                f"the interface is down: ip link set {self._channel} up"
-            )
-        wanted = self._options.get("bitrate")
-        actual = found.bitrate  # rounded to what its clock can do
-        if wanted and actual and abs(actual - wanted) > 0.05 * actual:
-            raise ConfigError(
-                self._owner,
-                "bitrate",
-                f"{self._channel} is set to {actual}, not {wanted}: ip link set"
-                f" {self._channel} down, then up type can bitrate {wanted}",
-            )
-        if self._options.get("fd") and found.mtu < FD.size:
-            raise ConfigError(
-                self._owner,
-                "fd",
-                f"{self._channel} is not set up for CAN FD: "
-                f"ip link set {self._channel} type can ... dbitrate ... fd on",
-            )
+
+def _look(owner: str, channel: str, options: dict[str, Any]) -> CanState:
+    """Return the state of an interface of the kernel that is set up as it should be."""
+    found = _can_interface.look_up(channel)
+    if not found.is_up:
+        raise ConnectionError(f"the interface is down: ip link set {channel} up")
+    wanted, actual = options.get("bitrate"), found.bitrate
+    if (
+        wanted and actual and abs(actual - wanted) > 0.05 * actual
+    ):  # rounded by its clock
+        raise ConfigError(
+            owner,
+            "bitrate",
+            f"{channel} is set to {actual}, not {wanted}: ip link set"
+            f" {channel} down, then up type can bitrate {wanted}",
+        )
+    if options.get("fd") and found.mtu < FD.size:
+        raise ConfigError(
+            owner,
+            "fd",
+            f"{channel} is not set up for CAN FD: "
+            f"ip link set {channel} type can ... dbitrate ... fd on",
+        )
+    return found.state
 
 
 def _is_socket_can(bus: Any) -> bool:

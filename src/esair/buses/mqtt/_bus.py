@@ -198,7 +198,7 @@ class MqttBus(Bus):
         except DeviceLostError:
             raise
         except OSError as error:
-            loss = DeviceLostError(self.name, describe(error))
+            loss = self.loss(error)
             self._gone(loss)
             raise loss from error
 
@@ -264,9 +264,7 @@ class MqttBus(Bus):
     def _gone(self, error: BaseException) -> None:
         if not self.is_open:
             return
-        loss = error
-        if not isinstance(error, DeviceLostError):
-            loss = DeviceLostError(self.name, describe(error))
+        loss = self.loss(error)
         self._fail(loss)
         self.lost(loss)
 

@@ -26,7 +26,6 @@ from esair.exceptions import (
     DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
-    describe,
     did_you_mean,
     hint_for,
 )
@@ -451,9 +450,7 @@ class SerialBus(Bus):
     def _gone(self, line: Line, error: Exception | None) -> None:
         if line is not self._line:
             return
-        detail = describe(error) if error is not None else "the other end hung up"
-        loss = DeviceLostError(self.name, detail)
-        loss.__cause__ = error
+        loss = self.loss(error or ConnectionError("the other end hung up"))
         self._discard(line, loss)
         line.end()
         self._fail_all(loss)
