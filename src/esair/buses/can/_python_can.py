@@ -478,7 +478,7 @@ def _open(
         _look(owner, channel, options)
     field = "interface"
     try:
-        bus = can.Bus(channel=channel, interface=interface, **options)
+        bus: Any = can.Bus(channel=channel, interface=interface, **options)
     except can.CanInterfaceNotImplementedError as error:
         known = ", ".join(sorted(can.VALID_INTERFACES))
         told = f"cannot be used: {describe(error)}; python-can knows {known}"

@@ -129,10 +129,9 @@ def explain(path: str, error: BaseException) -> str:
 def _owner(path: str) -> str:
     """Name the process that has a port open, as far as this user may know."""
     try:
-        wanted = os.stat(path)
+        pid = _lock_holder(wanted := os.stat(path)) or _opener(wanted)
     except OSError:
         return "somebody else"
-    pid = _lock_holder(wanted) or _opener(wanted)
     if pid is None:
         return "another process"
     if pid == os.getpid():
@@ -298,7 +297,9 @@ class Port:
         self.device = device
         self.path = path
         self.failed: Callable[[Exception | None], None] = lambda _error: None
-        self._fd = _descriptor(device)
+        self._fd = -1
+        with contextlib.suppress(OSError, AttributeError):  # loop://, rfc2217://
+            self._fd = int(device.fileno())
         self._is_terminal = self._fd >= 0 and os.isatty(self._fd)
         self._open = True
         if self._is_terminal:  # beside the lock, for programs that look for none
@@ -385,10 +386,21 @@ def open_port(
     levels: Mapping[str, bool],
 ) -> Port:
     """Open a port, exclusively. Blocks."""
+    import serial
+
     path = place.port
     try:
         path = place.find()
-        port = Port(_open_device(place, path, baudrate, options, levels), path)
+        own: dict[str, Any] = {"timeout": READ_PERIOD}
+        if not place.is_url:
+            own = {"timeout": 0, "write_timeout": 0, "exclusive": True}
+        device: Any = serial.serial_for_url(
+            path, baudrate, do_not_open=True, **own, **options
+        )
+        for name, level in levels.items():
+            setattr(device, name, level)
+        device.open()
+        port = Port(device, path)
         try:
             if port.has_descriptor:
                 place.check(path, port.fileno())
@@ -403,25 +415,6 @@ def open_port(
     except (ValueError, TypeError, LookupError) as error:  # its own word for no
         raise ConfigError(place.owner, "port", f"{path}: {error}") from error
     return port
-
-
-def _open_device(
-    place: SerialPlace,
-    path: str,
-    baudrate: int,
-    options: Mapping[str, Any],
-    levels: Mapping[str, bool],
-) -> Any:
-    import serial
-
-    own: dict[str, Any] = {"timeout": READ_PERIOD}
-    if not place.is_url:
-        own = {"timeout": 0, "write_timeout": 0, "exclusive": True}
-    device = serial.serial_for_url(path, baudrate, do_not_open=True, **own, **options)
-    for name, level in levels.items():
-        setattr(device, name, level)
-    device.open()
-    return device
 
 
 async def reach_port(
@@ -475,10 +468,3 @@ def _transport_class() -> Any:
                 super().write(data)
 
     return DirectTransport
-
-
-def _descriptor(device: Any) -> int:
-    try:
-        return int(device.fileno())
-    except (OSError, AttributeError):  # loop://, rfc2217://
-        return -1
