@@ -13,15 +13,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from esair.buses._bus import Bus, BusStats, LateWire, Wire, wanted
+from esair.buses._exchanges import Exchange, Exchanges
+from esair.buses._inbox import Inbox
+from esair.buses._link_bus import LinkBus
 from esair.buses._media import MEDIA, Medium
+from esair.buses._opening import open_on, shut_on
 from esair.loading import late
 
 if TYPE_CHECKING:
-    from esair.buses._exchanges import Exchange, Exchanges
     from esair.buses._fakes import Awaited, Failures
-    from esair.buses._inbox import Inbox
-    from esair.buses._link_bus import LinkBus
-    from esair.buses._opening import open_on, shut_on
     from esair.buses.can import (
         CanBus,
         CanState,
@@ -66,13 +66,9 @@ _late, _ = late(
     __name__,
     {
         "can": "CanBus CanState Frame FrameKind FrameLink python_can",
-        "_exchanges": "Exchange Exchanges",
         "_fakes": "Awaited Failures",
         "i2c": "I2CBus MessageLink RegisterLink",
-        "_inbox": "Inbox",
-        "_link_bus": "LinkBus",
         "serial": "SerialBus SerialLink",
-        "_opening": "open_on shut_on",
     },
 )
 

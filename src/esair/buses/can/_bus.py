@@ -192,11 +192,6 @@ class _Waiting:
         self._woken = None
 
 
-_LOST_WHEN: Final = {
-    "warning": CanState.WARNING,
-    "passive": CanState.PASSIVE,
-    "bus_off": CanState.BUS_OFF,
-}
 _DATA = FrameKind.DATA
 
 
@@ -259,8 +254,8 @@ class CanBus(Bus):
         self.send_timeout = send_timeout
         self.fd = fd
         self.bitrate_switch = bitrate_switch
-        check_choice(name, "lost_when", lost_when, _LOST_WHEN)
-        self._lost_when = _LOST_WHEN[lost_when]
+        check_choice(name, "lost_when", lost_when, ("warning", "passive", "bus_off"))
+        self._lost_when = CanState[lost_when.upper()]
         self._state = CanState.ACTIVE
         self._on_state: list[Callable[[CanState], None]] = []
         self._options = options

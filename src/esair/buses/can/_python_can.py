@@ -75,24 +75,43 @@ class Owner:
     bitrate_switch: bool
 
 
-class SocketNode:
-    """A node of SocketCAN, read and written by the event loop."""
+class Node:
+    """What both kinds of nodes have in common."""
 
-    def __init__(self, bus: Any, state: CanState, owner: Owner) -> None:
-        self.state = state
+    state = CanState.ACTIVE
+
+    def __init__(self, bus: Any, owner: Owner) -> None:
         self._bus = bus
         self._executor = owner.executor
         self._stats = owner.stats
         self._received = owner.received
         self._gone = owner.gone
+        self._fd_frames = owner.fd
+        self._bitrate_switch = owner.bitrate_switch
         self._loop = asyncio.get_running_loop()
+        self._closed = False
+
+    def _check(self) -> None:
+        if self._closed:
+            raise ConnectionError("the node is closed")
+
+    async def _shut(self, shut: Callable[[], object]) -> None:
+        with contextlib.suppress(DriverStuckError, BusyError):
+            await self._executor.call(shut, timeout=1.0)
+
+
+class SocketNode(Node):
+    """A node of SocketCAN, read and written by the event loop."""
+
+    def __init__(self, bus: Any, state: CanState, owner: Owner) -> None:
+        super().__init__(bus, owner)
+        self.state = state
         self._time = clock_of(self._loop)
         self._socket: socket.socket = bus.socket
         self._mtu = FD.size if owner.fd else _CLASSIC.size
         self._fd_flags = _FD_FRAME | (_FD_SWITCH if owner.bitrate_switch else 0)
         self._may_have_missed = 0
         self._missed = 0
-        self._closed = False
         self._set_up()
         self._fd = self._socket.fileno()
         self._arrivals = Arrivals.of(self._loop)
@@ -118,8 +137,7 @@ class SocketNode:
         self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed)
 
     async def send(self, frame: Frame, timeout: float) -> bool:
-        if self._closed:
-            raise ConnectionError("the node is closed")
+        self._check()
         number, data = frame.id, frame.data
         if frame.extended:
             number |= EXTENDED
@@ -145,12 +163,10 @@ class SocketNode:
         return True
 
     async def close(self) -> None:
-        if self._closed:
-            return
-        self._closed = True
-        self._loop.remove_reader(self._fd)
-        with contextlib.suppress(DriverStuckError, BusyError):
-            await self._executor.call(shut_bus, self._bus, timeout=1.0)
+        if not self._closed:
+            self._closed = True
+            self._loop.remove_reader(self._fd)
+            await self._shut(lambda: shut_bus(self._bus))
 
     def _readable(self) -> None:
         with self._arrivals:
@@ -219,11 +235,10 @@ MISSED_BEATS = 3
 """After how many heartbeats without a sign of it the reading thread is given up."""
 
 
-class ThreadNode:
+class ThreadNode(Node):
     """A node of an interface without a socket: one thread reads, the executor sends."""
 
     inbox_limit = 1024
-    state = CanState.ACTIVE
 
     def __init__(
         self,
@@ -235,24 +250,16 @@ class ThreadNode:
     ) -> None:
         import can
 
+        super().__init__(bus, owner)
         self._can = can
-        self._bus = bus
         # can.BusABC.recv measures its time-out by the wall clock: set back by an hour,
         # it waits for an hour. What it calls does not.
         own_recv = type(bus).recv is not can.BusABC.recv
         self._recv = bus.recv if own_recv else bus._recv_internal  # noqa: SLF001
         self._own_recv = own_recv
-        self._executor = owner.executor
-        self._stats = owner.stats
-        self._received = owner.received
-        self._gone = owner.gone
-        self._fd = owner.fd
-        self._bitrate_switch = owner.bitrate_switch
         self._echoes = echoes
         self._decodes_errors = decodes_errors
-        self._loop = asyncio.get_running_loop()
         self._time = clock_beside(self._loop)
-        self._closed = False
         self._wanted: frozenset[int] = frozenset()
         self._masks: tuple[Filter, ...] = ()
         self._incoming: collections.deque[Frame] = collections.deque(
@@ -268,7 +275,7 @@ class ThreadNode:
             target=self._read, name=f"esair-{owner.executor.name}-reader", daemon=True
         )
         self._reader.start()
-        self._watch = self._loop.call_later(HEARTBEAT, self._check, self._beats)
+        self._watch = self._loop.call_later(HEARTBEAT, self._look_after, self._beats)
 
     def listen(self, filters: Collection[Filter] | None) -> None:
         wanted = (Filter(0, 0),) if filters is None else filters
@@ -276,8 +283,7 @@ class ThreadNode:
         self._masks = tuple(each for each in wanted if not each.is_exact)
 
     async def send(self, frame: Frame, timeout: float) -> bool:
-        if self._closed:
-            raise ConnectionError("the node is closed")
+        self._check()
         try:
             # With a guard, a frame whose time is over does not leave late.
             return await self._executor.call(
@@ -287,13 +293,11 @@ class ThreadNode:
             raise ConnectionError("the node is closed") from None
 
     async def close(self) -> None:
-        if self._closed:
-            return
-        self._closed = True
-        self._watch.cancel()
-        self._count()
-        with contextlib.suppress(DriverStuckError, BusyError):
-            await self._executor.call(self._end, timeout=1.0)
+        if not self._closed:
+            self._closed = True
+            self._watch.cancel()
+            self._count()
+            await self._shut(self._end)
 
     def _send(self, frame: Frame) -> bool:
         message = self._can.Message(
@@ -349,7 +353,7 @@ class ThreadNode:
                 return None
             if message.is_remote_frame:
                 kind = FrameKind.REMOTE
-            elif message.is_fd and not self._fd:
+            elif message.is_fd and not self._fd_frames:
                 self._seen[2] += 1
                 return None
         return Frame(
@@ -387,13 +391,13 @@ class ThreadNode:
         stats.dropped += new[1]
         stats.bad_frames += new[2]
 
-    def _check(self, beats: int) -> None:
+    def _look_after(self, beats: int) -> None:
         self._count()
         self._missed_beats = self._missed_beats + 1 if self._beats == beats else 0
         if self._missed_beats >= MISSED_BEATS:
             self._end_of_reading(ConnectionError("its reader does not come back"))
             return
-        self._watch = self._loop.call_later(HEARTBEAT, self._check, self._beats)
+        self._watch = self._loop.call_later(HEARTBEAT, self._look_after, self._beats)
 
     def _end_of_reading(self, error: Exception) -> None:
         if not self._closed:

@@ -6,6 +6,8 @@ import asyncio
 from collections.abc import Callable, Iterable
 from typing import Any
 
+import attrs
+
 from esair.buses._bus import listen
 from esair.buses._fakes import Fake
 from esair.buses.mqtt._bus import Message, MqttBus, MqttWire, matches
@@ -119,20 +121,16 @@ class _Memory(MqttWire):
                 link.deliver(message._replace(retained=False))
 
 
+@attrs.define(eq=False)
 class _Link:
-    def __init__(
-        self,
-        broker: _Memory,
-        heard: Callable[[Message], None],
-        gone: Callable[[BaseException], None],
-        will: Message | None,
-    ) -> None:
-        self._broker = broker
-        self._heard = heard
-        self.gone = gone
-        self._will = will
-        self._patterns: list[str] = []
-        self._loop = asyncio.get_running_loop()
+    _broker: _Memory
+    _heard: Callable[[Message], None]
+    gone: Callable[[BaseException], None]
+    _will: Message | None
+    _patterns: list[str] = attrs.field(factory=list, init=False)
+    _loop: asyncio.AbstractEventLoop = attrs.field(
+        factory=asyncio.get_running_loop, init=False
+    )
 
     def deliver(self, message: Message) -> None:
         if any(matches(each, message.topic) for each in self._patterns):
