@@ -88,10 +88,7 @@ class Exchanges:
             NoTurnError: Others had the wire all the time; it was not sent.
             DriverStuckError: There was no answer in time.
         """
-        exchange = self.request(*kinds, timeout=timeout, answers=answers)
-        if not self.take(exchange):
-            await exchange.turn()
-        with exchange:
+        async with self.request(*kinds, timeout=timeout, answers=answers) as exchange:
             exchange.begin()
             await send(exchange.left)
             return await exchange.answer(patience=patience)
@@ -158,13 +155,6 @@ class Exchanges:
             self._forget(owed)
 
     # For the exchanges.
-
-    def take(self, exchange: Exchange) -> bool:
-        """Let an exchange leave now, if it need not wait for anything."""
-        if self.now is not None or self.unanswered:
-            return False
-        self.now = exchange
-        return True
 
     async def take_turn(self, exchange: Exchange) -> None:
         """Wait until an exchange may leave."""
@@ -366,9 +356,12 @@ class Exchange:
         if self._waiter is not None:
             fail(self._waiter, TimeoutError())
 
-    async def turn(self) -> None:
-        """Wait until it may leave."""
-        exchanges, bus = self._exchanges, self._exchanges.bus
+    async def __aenter__(self) -> Self:
+        exchanges = self._exchanges
+        if exchanges.now is None and not exchanges.unanswered:
+            exchanges.now = self
+            return self
+        bus = exchanges.bus
         try:
             await exchanges.take_turn(self)
         except DriverStuckError:
@@ -382,21 +375,11 @@ class Exchange:
         if self.left <= 0.0:  # its turn came with the end of its time
             exchanges.end_turn(self)
             raise self._stuck()
-
-    async def __aenter__(self) -> Self:
-        if not self._exchanges.take(self):
-            await self.turn()
         return self
 
     async def __aexit__(
         self, _: object, error: BaseException | None, *__: object
     ) -> None:
-        self.__exit__(None, error)
-
-    def __enter__(self) -> Self:
-        return self  # its turn has come
-
-    def __exit__(self, _: object, error: BaseException | None, *__: object) -> None:
         if isinstance(error, BusyError):  # nothing has left
             self.end()
         self._exchanges.end_turn(self)

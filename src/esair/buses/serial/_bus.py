@@ -296,12 +296,9 @@ class SerialBus(Bus):
         self._connected()
         seconds = self._seconds(timeout)
         kinds = prefix if isinstance(prefix, tuple) else (prefix,)
-        exchanges = self._exchanges
-        exchange = Exchange(exchanges, kinds, seconds, answers)
-        exchange.name = payload
-        if not exchanges.take(exchange):
-            await exchange.turn()
-        with exchange:
+        request = self._exchanges.request(*kinds, timeout=seconds, answers=answers)
+        request.name = payload
+        async with request as exchange:
             size = self._put(self.framing.encode(payload), exchange)
             if size:
                 await self._sent(size, exchange.left)

@@ -111,8 +111,8 @@ class PtyLine(FarLine):
         self.unplug()
         self.plug()
 
-    def stall(self) -> None:
-        """Take no byte more, as a device that holds CTS down."""
+    def stall(self, after: int = 0) -> None:
+        """Take no byte more, as a device that holds CTS down; at once in any case."""
         if self.plugged:
             termios.tcflow(self._slave, termios.TCOOFF)
 
@@ -356,7 +356,7 @@ class FakeSerial(Fake[bytes, bytes], SerialBus):
         self.lost_bytes: int = 0
         self._plugged = True
         self._stalled = False
-        self._room: int | None = None
+        self._room = 0
         self._far: MemoryLine | PtyLine | None = None
         self._far_framing = self.framing.fresh()
         self._answers: dict[bytes, bytes | Reply] = {}
@@ -449,7 +449,8 @@ class FakeSerial(Fake[bytes, bytes], SerialBus):
         """
         self._stalled = True
         self._room = after
-        self._stall_wire()
+        if self._far is not None:
+            self._far.stall(after)
 
     def resume(self) -> None:
         """Take and give again, also what waited."""
@@ -460,17 +461,17 @@ class FakeSerial(Fake[bytes, bytes], SerialBus):
 
     def xoff(self) -> None:
         """Send XOFF: the robot may write no more, if its port heeds XON and XOFF."""
-        if isinstance(self._far, MemoryLine) and self._options.get("xonxoff"):
-            self._far.stall()
-        elif self._far is not None:
-            self._far.write(XOFF)
+        self._heed(XOFF, MemoryLine.stall)
 
     def xon(self) -> None:
         """Send XON: the robot may write again."""
+        self._heed(XON, MemoryLine.resume)
+
+    def _heed(self, byte: bytes, act: Callable[[MemoryLine], object]) -> None:
         if isinstance(self._far, MemoryLine) and self._options.get("xonxoff"):
-            self._far.resume()
+            act(self._far)
         elif self._far is not None:
-            self._far.write(XON)
+            self._far.write(byte)
 
     # The bus, as the robot uses it.
 
@@ -509,7 +510,8 @@ class FakeSerial(Fake[bytes, bytes], SerialBus):
             self._far = MemoryLine(self.name) if virtual else PtyLine()
             self._far.heard = self._heard
             self._far.plug()
-        self._stall_wire()
+        if self._stalled:
+            self._far.stall(self._room)
         return self._far
 
     def _drop_wire(self) -> None:
@@ -517,14 +519,6 @@ class FakeSerial(Fake[bytes, bytes], SerialBus):
         if wire is not None:
             wire.unplug()
             self.lost_bytes += wire.lost
-
-    def _stall_wire(self) -> None:
-        if not self._stalled or self._far is None:
-            return
-        if isinstance(self._far, MemoryLine):
-            self._far.stall(self._room or 0)
-        else:
-            self._far.stall()
 
     def _heard(self, data: bytes) -> None:
         self.written = (self.written + data)[-WRITTEN_LIMIT:]
