@@ -294,8 +294,7 @@ class Bus(abc.ABC):
         self.stats.lost += 1
         self._note(error)
         self._keep_watch()
-        for listener in tuple(self._on_lost):
-            listener(error)
+        self._tell(self._on_lost, error)
         self._end_waits()
         self._let_go()
 
@@ -356,10 +355,19 @@ class Bus(abc.ABC):
 
     def arrived(self) -> None:
         """Tell everybody that the wire is there again; nothing is opened by that."""
-        if self.is_open:
-            return
-        for listener in tuple(self._on_arrival):
-            listener()
+        if not self.is_open:
+            self._tell(self._on_arrival)
+
+    def _tell(self, listeners: list[Callable[..., None]], *news: object) -> None:
+        """Tell all, also those behind one that fails: nobody's loss is another's."""
+        for listener in tuple(listeners):
+            try:
+                listener(*news)
+            except Exception as error:
+                told = f"a listener of bus {self.name} failed"
+                asyncio.get_running_loop().call_exception_handler(
+                    {"message": told, "exception": error}
+                )
 
     async def _far_end(self, wire: Wire) -> Any:
         """Return what is at the far end now, which tells of its arrivals from then on."""

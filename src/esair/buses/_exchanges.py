@@ -15,7 +15,7 @@ from esair.loop import Deadline, Deadlines, InLine, arrive, fail, had_turn
 LATE_LIMIT = 0.4
 """How long after it was due an answer may still come, in seconds."""
 
-REQUEST_LIMIT = 64
+REQUEST_LIMIT = 256
 """How many requests may wait on one wire."""
 
 

@@ -497,16 +497,7 @@ class CanBus(Bus):
         if state is self._state:
             return
         self._state = state
-        for listener in tuple(self._on_state):
-            try:
-                listener(state)
-            except Exception as error:  # it must not take the bus down
-                asyncio.get_running_loop().call_exception_handler(
-                    {
-                        "message": f"a listener of bus {self.name} failed",
-                        "exception": error,
-                    }
-                )
+        self._tell(self._on_state, state)
 
     def _in_bad_state(self, state: CanState) -> DeviceLostError:
         told = f"the controller is error-{state.name.lower()}, as lost_when says"

@@ -77,8 +77,8 @@ def _names() -> str:
     return "one of " + ", ".join(repr(name) for name in FRAMINGS)
 
 
-ASK_LIMIT = 32
-"""How many exchanges may wait for their turn on one line."""
+ECHO_LIMIT = 65536
+"""How many bytes may be on their way back as an echo."""
 
 _log = logging.getLogger("esair")
 
@@ -174,7 +174,7 @@ class SerialBus(Bus):
         self._bad_in_row = 0
         self._is_cut = False
         """Whether only the beginning of the message before was sent."""
-        self._exchanges = Exchanges(self, late_limit=late_limit, limit=ASK_LIMIT)
+        self._exchanges = Exchanges(self, late_limit=late_limit)
 
     @property
     def resync(self) -> bytes:
@@ -251,6 +251,9 @@ class SerialBus(Bus):
         self._is_cut = False
         if self._echoes:
             self._echo += data
+            if len(self._echo) > ECHO_LIMIT:  # there is none
+                self._echo = b""
+                self.stats.bad_frames += 1
         if request is not None:
             request.begin()
         if not line.write(data):
@@ -324,10 +327,14 @@ class SerialBus(Bus):
         self.stats.sent += size
 
     def _discard(self, line: Line, error: BaseException) -> None:
-        self.stats.discarded += line.link.get_write_buffer_size()
+        link = line.link
+        waiting = link.get_write_buffer_size()
         self._is_cut = self._is_cut or line.ends_in_a_message()
         line.settle(error)  # first: the link tells who waits then that all is sent
-        line.link.flush()
+        link.flush()
+        gone = waiting - link.get_write_buffer_size()
+        self.stats.discarded += gone
+        self._echo = self._echo[: max(0, len(self._echo) - gone)]
 
     def _connected(self) -> Line:
         if not self.is_open or self._line is None:
