@@ -13,8 +13,7 @@ import itertools
 import re
 
 from esair.exceptions import BadValueError
-from esair.framing._framing import Framing
-from esair.framing._looks import Looks
+from esair.framing._framing import Framing, Looks
 
 _HALVES = [tuple(8 << place for place in reversed(range(n))) for n in range(32)]
 """How wide the halves of 1, 2, 4 and so on bytes are, in bits."""
