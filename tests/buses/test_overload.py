@@ -155,9 +155,11 @@ async def test_a_full_line_loses_nobody(count: int) -> None:
     names = [f"unit_{n}" for n in range(count)]
     line = FakeSerial("line")
     loop = asyncio.get_running_loop()
-    line.on_frame = lambda asked: (
-        loop.call_later(0.03, line.say, asked[:-1] + b"7") and None
-    )
+
+    def hear(asked: bytes) -> None:
+        loop.call_later(0.03, line.say, asked[:-1] + b"7")
+
+    line.on_frame = hear
     needs = {name: esair.reads(int, max_age=60.0) for name in names}
     watcher = Watcher(reads=needs, writes={})
     watcher.names = names

@@ -24,6 +24,8 @@ from esair.loop import turn_of
 
 T = TypeVar("T")
 W = TypeVar("W")
+C = TypeVar("C")
+X = TypeVar("X")
 
 
 def os_error(code: int) -> OSError:
@@ -260,35 +262,45 @@ class ChipsWire(Wire):
         self.failures.check(address)
 
 
-class PlayedBus(LinkBus[L]):
+class PlayedBus(LinkBus[L], Generic[L, C, X]):
     """A bus that does what its test tells it; ``link`` is its far end.
 
     On a virtual clock it runs in the event loop, else on its thread as a real bus; it
     is driven by the same code as a real one either way.
     """
 
-    link: Any
+    _wire_of: Callable[[dict[int, Any]], Any]
+    _registers: Callable[[Any], Any]
+    _medium: str
 
     def __init__(
         self,
-        name: str,
-        wire: Callable[[dict[int, Any]], ChipsWire],
-        registers: Callable[[Any], object],
-        chips: Mapping[int, Any] | None,
+        name: str = "",
+        chips: Mapping[int, C | bytes | Mapping[int, int | bytes]] | None = None,
         *,
-        timeout: float,
+        timeout: float = 0.2,
     ) -> None:
-        self.link = wire(
-            {
-                number: registers(chip) if isinstance(chip, bytes | Mapping) else chip
-                for number, chip in (chips or {}).items()
-            }
-        )
-        super().__init__(name=name, timeout=timeout, wire=self.link)
+        made = {
+            number: self._registers(chip) if isinstance(chip, bytes | Mapping) else chip
+            for number, chip in (chips or {}).items()
+        }
+        self.link = self._wire_of(made)
+        super().__init__(name=name or self._medium, timeout=timeout, wire=self.link)
         self._turns = Exchanges(self)
         self._go = asyncio.Event()
         self._go.set()
         self._begun: Callable[[], object] | None = None
+
+    @property
+    def chips(self) -> dict[int, C]:
+        """The chips on the bus, by their numbers; put in and take out at any time."""
+        chips: dict[int, C] = self.link.chips
+        return chips
+
+    @property
+    def log(self) -> list[X]:
+        """The newest transfers, the oldest of them first."""
+        return list(self.link.log)
 
     def silence(self) -> None:
         """Let no chip answer: they have no power."""

@@ -212,7 +212,7 @@ class FakeLink(ChipBus):
         return data
 
 
-class FakeI2c(PlayedBus[RegisterLink], I2CBus):
+class FakeI2c(PlayedBus[RegisterLink, Chip, Transfer], I2CBus):
     r"""An I²C bus with chips in memory that does what its test tells it.
 
     On a virtual clock it runs in the event loop, else on its thread as a real bus; it
@@ -231,26 +231,9 @@ class FakeI2c(PlayedBus[RegisterLink], I2CBus):
         >>> bus.fail(errno.EIO, after=2)
     """
 
-    link: FakeLink
-
-    def __init__(
-        self,
-        name: str = "i2c",
-        chips: Mapping[int, Chip | bytes | Mapping[int, int | bytes]] | None = None,
-        *,
-        timeout: float = 0.2,
-    ) -> None:
-        super().__init__(name, FakeLink, Registers, chips, timeout=timeout)
-
-    @property
-    def chips(self) -> dict[int, Chip]:
-        """The chips on the bus by their addresses; put in and take out at any time."""
-        return self.link.chips
-
-    @property
-    def log(self) -> list[Transfer]:
-        """The newest transfers that a chip answered, the oldest of them first."""
-        return list(self.link.log)
+    _wire_of = FakeLink
+    _registers = Registers
+    _medium = "i2c"
 
     def silent(self, address: int, *, silent: bool = True) -> None:
         """Let a chip acknowledge nothing, or answer again."""

@@ -361,7 +361,6 @@ class SerialBus(Bus):
             far_end = await self._far_end(self._wire)
             port = functools.partial(self._open_port, line)
             line.link = await far_end.open(line, port)
-        line.link.set_write_buffer_limits(high=0)
         self._line = line
         await self._exchanges.silence()
 

@@ -261,11 +261,6 @@ class _MemoryLink:
     def get_write_buffer_size(self) -> int:
         return len(self._waiting)
 
-    def set_write_buffer_limits(
-        self, high: int | None = None, low: int | None = None
-    ) -> None:
-        """Need no limits: the protocol is told when everything is sent."""
-
     def flush(self) -> None:
         self._waiting = b""
 

@@ -209,11 +209,6 @@ class ThreadLink:
         """Return how many bytes the line has not taken yet."""
         return len(self._buffer) + self._in_flight
 
-    def set_write_buffer_limits(
-        self, high: int | None = None, low: int | None = None
-    ) -> None:
-        """Need no limits: the protocol is told when everything is sent."""
-
     def flush(self) -> None:
         """Throw the bytes away that are not being written."""
         self._buffer.clear()
@@ -444,8 +439,10 @@ def link_of(port: Port, protocol: asyncio.Protocol, name: str) -> SerialLink:
     port.failed = protocol.connection_lost
     loop = asyncio.get_running_loop()
     if port.has_descriptor:
-        link: SerialLink = _transport_class()(loop, protocol, port)
-        return link
+        link = _transport_class()(loop, protocol, port)
+        link.set_write_buffer_limits(high=0)
+        told: SerialLink = link
+        return told
     return ThreadLink(loop, protocol, port.device, name=name)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Protocol
 
 import attrs
@@ -78,7 +77,7 @@ class SpiChips(ChipsWire):
         return back
 
 
-class FakeSpi(PlayedBus[SpiLink], SpiBus):
+class FakeSpi(PlayedBus[SpiLink, SpiChip, Exchange], SpiBus):
     r"""An SPI bus with chips in memory that does what its test tells it.
 
     Args:
@@ -92,23 +91,6 @@ class FakeSpi(PlayedBus[SpiLink], SpiBus):
         >>> bus.stretch(0.01)
     """
 
-    link: SpiChips
-
-    def __init__(
-        self,
-        name: str = "spi",
-        chips: Mapping[int, SpiChip | bytes | Mapping[int, int | bytes]] | None = None,
-        *,
-        timeout: float = 0.2,
-    ) -> None:
-        super().__init__(name, SpiChips, SpiRegisters, chips, timeout=timeout)
-
-    @property
-    def chips(self) -> dict[int, SpiChip]:
-        """The chips on the bus; put in and take out at any time."""
-        return self.link.chips
-
-    @property
-    def log(self) -> list[Exchange]:
-        """The newest transfers, the oldest of them first."""
-        return list(self.link.log)
+    _wire_of = SpiChips
+    _registers = SpiRegisters
+    _medium = "spi"
