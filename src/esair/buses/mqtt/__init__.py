@@ -3,16 +3,9 @@
 Only ``_client.py`` knows aiomqtt, and is imported when a bus is opened.
 """
 
-from esair.buses.mqtt._bus import (
-    Message,
-    MqttBus,
-    MqttLink,
-    MqttWire,
-    devices,
-    matches,
-    toml,
-)
+from esair.buses.mqtt._bus import MqttBus, devices, toml
 from esair.buses.mqtt._fake import FakeMqtt
+from esair.buses.mqtt._wire import Message, MqttLink, MqttWire, matches
 
 __all__ = [
     "FakeMqtt",

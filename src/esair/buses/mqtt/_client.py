@@ -13,7 +13,7 @@ import socket
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-from esair.buses.mqtt._bus import Message, MqttWire
+from esair.buses.mqtt._wire import Message, MqttWire
 from esair.exceptions import describe
 from esair.loading import of_extra
 from esair.loop import spawn

@@ -10,7 +10,8 @@ import attrs
 
 from esair.buses._bus import listen
 from esair.buses._fakes import Fake
-from esair.buses.mqtt._bus import Message, MqttBus, MqttWire, matches
+from esair.buses.mqtt._bus import MqttBus
+from esair.buses.mqtt._wire import Message, MqttWire, matches
 
 SENT_LIMIT = 4096
 """How many messages of the robot are kept; then the newest win."""
