@@ -8,6 +8,8 @@ import errno
 from collections.abc import Callable, Hashable
 from typing import Any, Final, Literal
 
+import attrs
+
 from esair.buses._bus import Bus, BusStats, Wire, listen
 from esair.buses._inbox import Inbox, within
 from esair.buses.can._frame import (
@@ -115,9 +117,10 @@ class Outbox:
         assert link is not None
         mine = _Waiting(replaces)
         line = self._lines.setdefault(key, [])
-        if replaces is not None:
-            for older in line:
-                older.give_way_to(mine)
+        for older in line if replaces is not None else ():
+            if older.replaces == replaces:
+                older.is_obsolete = True
+                older.wake()
         line.append(mine)
         try:
             if line[0] is mine and await link.send(frame, seconds):
@@ -166,20 +169,13 @@ class Outbox:
         return False
 
 
+@attrs.define(eq=False)
 class _Waiting:
     """A frame on its way, until it is sent or a newer one makes it obsolete."""
 
-    __slots__ = ("_woken", "is_obsolete", "replaces")
-
-    def __init__(self, replaces: Hashable | None) -> None:
-        self.replaces = replaces
-        self.is_obsolete = False
-        self._woken: asyncio.Future[None] | None = None
-
-    def give_way_to(self, newer: _Waiting) -> None:
-        if self.replaces == newer.replaces:
-            self.is_obsolete = True
-            self.wake()
+    replaces: Hashable | None
+    is_obsolete: bool = False
+    _woken: asyncio.Future[None] | None = None
 
     def wake(self) -> None:
         if self._woken is not None and not self._woken.done():
