@@ -11,8 +11,7 @@ from typing import TypeVar
 from esair.buses._bus import Wire
 from esair.buses._link_bus import GONE, LinkBus
 from esair.buses.i2c import _kernel as kernel
-from esair.buses.i2c import _link as wire
-from esair.buses.i2c._link import RegisterLink
+from esair.buses.i2c._kernel import RegisterLink
 from esair.exceptions import (
     BadValueError,
     DeviceFaultError,
@@ -206,10 +205,10 @@ class I2CBus(LinkBus[RegisterLink]):
         """
         write = check_bytes(self.name, "write", write)
         self._check(address)
-        self._check_whole("write", len(write), 0, wire.LIMIT, " bytes")
-        self._check_whole("read", read, 0, wire.LIMIT, " bytes")
+        self._check_whole("write", len(write), 0, kernel.LIMIT, " bytes")
+        self._check_whole("read", read, 0, kernel.LIMIT, " bytes")
         return await self._turn(
-            lambda link: wire.transfer(link, address, write, read),
+            lambda link: kernel.transfer(link, address, write, read),
             address,
             timeout,
             ITS_CHIP if idempotent else OCCUPIED,
@@ -287,7 +286,7 @@ class I2CBus(LinkBus[RegisterLink]):
 
     def _probe(self, link: RegisterLink, address: int) -> str | EsairError:
         try:
-            wire.probe(link, address)
+            kernel.probe(link, address)
         except OSError as error:
             if error.errno == errno.EBUSY:
                 return "busy"
@@ -320,7 +319,7 @@ class I2CBus(LinkBus[RegisterLink]):
             told = f"expected 0x03 to 0x77, not {address!r:.80}"
             raise BadValueError(self.name, "address", told)
         self._check_whole("register", register, 0, 0xFF)
-        self._check_whole("length", length, 1, wire.SMBUS_LIMIT, " bytes")
+        self._check_whole("length", length, 1, kernel.SMBUS_LIMIT, " bytes")
 
     # Its life.
 

@@ -11,7 +11,7 @@ import attrs
 
 from esair.buses._fakes import ChipsWire, PlayedBus, os_error
 from esair.buses.i2c._bus import I2CBus
-from esair.buses.i2c._link import RegisterLink
+from esair.buses.i2c._kernel import RegisterLink
 
 FUNCS = 0x0EFF0001
 """What `ChipBus` can do: plain I²C, and SMBus by it; as the kernel's bits."""

@@ -163,9 +163,7 @@ class MqttBus(Bus):
         if wire is not None:
             wire = await self._far_end(wire)
         else:
-            from esair.buses.mqtt._client import (
-                Broker,
-            )  # the package, as late as can be
+            from esair.buses.mqtt._client import Broker  # as late as can be
 
             wire = Broker(
                 self.host,

@@ -65,14 +65,6 @@ def make_framing(owner: str, described: Framing | str | Mapping[str, Any]) -> Fr
     return made
 
 
-def resync_bytes(framing: Framing) -> bytes:
-    """Return what ends a message that was cut, where the framing has such a thing.
-
-    Without it the other end takes the next message for the rest of the one before.
-    """
-    return framing.delimiter if isinstance(framing, Lines | Cobs) else b""
-
-
 def _names() -> str:
     return "one of " + ", ".join(repr(name) for name in FRAMINGS)
 
@@ -178,8 +170,12 @@ class SerialBus(Bus):
 
     @property
     def resync(self) -> bytes:
-        """What ends a message that was cut in half, if the framing has such a thing."""
-        return resync_bytes(self.framing)
+        """What ends a message that was cut in half, if the framing has such a thing.
+
+        Without it the other end takes the next message for the rest of the one before.
+        """
+        framing = self.framing
+        return framing.delimiter if isinstance(framing, Lines | Cobs) else b""
 
     @property
     def outlet(self) -> Outlet | None:
@@ -242,7 +238,7 @@ class SerialBus(Bus):
         line = self._connected()
         link = line.link
         if self._is_cut:
-            data = resync_bytes(self.framing) + data
+            data = self.resync + data
         if link.get_write_buffer_size() + len(data) > self.out_limit:
             self.stats.refused += 1
             raise BusyError(
