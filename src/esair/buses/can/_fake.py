@@ -7,6 +7,8 @@ import collections
 from collections.abc import Callable, Collection, Iterable
 from typing import Any, TypeAlias
 
+import attrs
+
 from esair.buses._bus import listen
 from esair.buses._fakes import Fake
 from esair.buses.can import _frame as frames
@@ -75,7 +77,7 @@ class MemoryCan(CanWire):
             ConnectionError: It is unplugged.
         """
         self.check()
-        node = _MemoryNode(self, received, gone)
+        node = _MemoryNode(self, self.state, received, gone)
         self._robots.append(node)
         return node
 
@@ -104,18 +106,13 @@ class MemoryCan(CanWire):
             self._robots.remove(node)
 
 
+@attrs.define(eq=False)
 class _MemoryNode:
-    def __init__(
-        self,
-        wire: MemoryCan,
-        received: Callable[[Frame], None],
-        gone: Callable[[Exception], None],
-    ) -> None:
-        self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
-        self.state: CanState = wire.state
-        self.gone = gone
-        self._wire = wire
-        self._received: Callable[[Frame], None] | None = received
+    _wire: MemoryCan
+    state: CanState
+    _received: Callable[[Frame], None] | None
+    gone: Callable[[Exception], None]
+    loop: asyncio.AbstractEventLoop = attrs.field(factory=asyncio.get_running_loop)
 
     def listen(self, filters: Collection[Filter] | None) -> None:
         """Hear all: nothing is saved by less."""

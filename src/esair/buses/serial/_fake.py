@@ -14,6 +14,8 @@ from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import attrs
+
 from esair.buses._bus import Bus, LateWire
 from esair.buses._exchanges import Exchange
 from esair.buses._fakes import Fake, os_error
@@ -228,20 +230,15 @@ class MemoryLine(FarLine):
             self.heard(data)
 
 
+@attrs.define(eq=False)
 class _MemoryLink:
     """The robot's end of a line in memory."""
 
-    def __init__(
-        self,
-        loop: asyncio.AbstractEventLoop,
-        protocol: asyncio.Protocol,
-        far_end: Callable[[bytes], int],
-    ) -> None:
-        self._loop = loop
-        self._protocol: asyncio.Protocol | None = protocol
-        self._far_end = far_end
-        self._waiting = b""
-        self._broken = False
+    _loop: asyncio.AbstractEventLoop
+    _protocol: asyncio.Protocol | None
+    _far_end: Callable[[bytes], int]
+    _waiting: bytes = b""
+    _broken: bool = False
 
     def write(self, data: bytes) -> None:
         if self._protocol is None:
