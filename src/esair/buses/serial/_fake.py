@@ -36,7 +36,7 @@ class FarLine(SerialWire):
 
     def __init__(self) -> None:
         super().__init__()
-        self.heard: Callable[[bytes], object] = ignore
+        self.heard: Callable[[bytes], None] = ignore
         self.lost: int = 0
         self._loop = asyncio.get_running_loop()
 
