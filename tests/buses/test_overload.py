@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 import esair
-from esair.buses import I2CBus
+from esair.buses import I2CBus, SerialBus
 from esair.exceptions import DriverStuckError, NoTurnError
 from esair.messages import ResourceState
 from esair.plan import examine
@@ -48,8 +48,13 @@ class Blocking(Chip):
         return value
 
 
+NAMES = [f"chip_{n}" for n in range(32)]
+
+
 class Watcher(esair.Behavior):
     """Follows every chip."""
+
+    names = NAMES
 
     async def run(self) -> None:
         """Have them polled, for ever."""
@@ -58,10 +63,7 @@ class Watcher(esair.Behavior):
             async for _ in getattr(self, name):
                 pass
 
-        await asyncio.gather(*(follow(name) for name in NAMES))
-
-
-NAMES = [f"chip_{n}" for n in range(32)]
+        await asyncio.gather(*(follow(name) for name in self.names))
 
 
 async def until(condition: Callable[[], object]) -> None:
@@ -131,6 +133,59 @@ async def test_an_overloaded_bus_loses_nobody_on_its_thread(kind: type[Chip]) ->
     rates = await overload(kind, 10.0)
 
     assert min(rates) / statistics.median(rates) >= 0.5
+
+
+class Unit(esair.Sensor[int]):
+    """One of many devices that are asked over one line."""
+
+    rate = 20.0
+    bus: SerialBus
+
+    async def read(self) -> int:
+        """Ask it."""
+        key = self.name.encode() + b"="
+        return int((await self.bus.ask(key + b"?", prefix=key)).removeprefix(key))
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("BUS-5")
+@pytest.mark.parametrize("count", [40, pytest.param(300, marks=pytest.mark.long)])
+async def test_a_full_line_loses_nobody(count: int) -> None:
+    """What is refused because too many wait already was not asked: that is no fault."""
+    names = [f"unit_{n}" for n in range(count)]
+    line = FakeSerial("line")
+    loop = asyncio.get_running_loop()
+
+    def hear(asked: bytes) -> None:
+        loop.call_later(0.03, line.say, asked[:-1] + b"7")
+
+    line.on_frame = hear
+    needs = {name: esair.reads(int, max_age=60.0) for name in names}
+    watcher = Watcher(reads=needs, writes={})
+    watcher.names = names
+    units = [Unit(name=name, bus=line) for name in names]
+    robot = esair.Robot(resources=units, behaviors=[watcher])
+    async with robot:
+        await asyncio.sleep(20.0)
+        counts = robot.journal.counts()
+
+    assert line.stats.sent > 100
+    assert sum(counts[each]["losses"] + counts[each]["faults"] for each in names) == 0
+
+
+@pytest.mark.virtual_clock
+async def test_a_request_without_a_turn_is_one_error() -> None:
+    """It is counted once."""
+    line = FakeSerial("line")
+    await line.open()
+    slow = asyncio.create_task(line.ask(b"a?", prefix=b"a", timeout=3.0))
+    await asyncio.sleep(0.0)
+
+    with pytest.raises(NoTurnError):
+        await line.ask(b"b?", prefix=b"b", timeout=0.5)
+    assert (line.stats.errors, line.stats.no_turn) == (1, 1)
+    slow.cancel()
+    await line.close()
 
 
 @pytest.mark.virtual_clock

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from typing import Any
 
 import pytest
 
@@ -27,6 +28,31 @@ async def test_a_wait_ends_with_the_bus(how: str) -> None:
     await bus.close()
 
 
+async def test_a_listener_that_fails_keeps_nobody_from_hearing_of_a_loss() -> None:
+    """The others are told, what waits ends, and the line is opened again."""
+    bus = FakeSerial("front")
+    failed: list[dict[str, Any]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, it: failed.append(it))
+    told: list[BaseException] = []
+    bus.on_lost(_stumbles)
+    bus.on_lost(told.append)
+    bus.on_arrival(_stumbles)
+    bus.on_arrival(lambda: told.append(ConnectionError("there")))
+    await bus.open()
+    waiting = asyncio.ensure_future(bus.wait_for(asyncio.Event().wait()))
+    await asyncio.sleep(0)
+
+    bus.unplug()
+    with pytest.raises(DeviceLostError):
+        await waiting
+    bus.plug()
+
+    assert [type(each) for each in told] == [DeviceLostError, ConnectionError]
+    assert [type(each["exception"]) for each in failed] == [ZeroDivisionError] * 2
+    await bus.open()
+    await bus.close()
+
+
 async def test_a_wait_has_its_result_its_time_and_needs_the_bus() -> None:
     """What comes is returned, what does not come is told, and nothing is begun."""
     bus = FakeSerial("front")
@@ -43,3 +69,7 @@ async def test_a_wait_has_its_result_its_time_and_needs_the_bus() -> None:
 
 async def _fails() -> None:
     raise TimeoutError("its own")
+
+
+def _stumbles(*_: object) -> None:
+    raise ZeroDivisionError

@@ -10,18 +10,22 @@ a medium are in its package, such as `esair.buses.can`, and the usual ones here 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import importlib
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+import attrs
 
 from esair.buses._bus import Bus, BusStats, LateWire, Wire, wanted
-from esair.buses._media import MEDIA, Medium
+from esair.buses._exchanges import Exchange, Exchanges
+from esair.buses._inbox import Inbox
+from esair.buses._link_bus import LinkBus
+from esair.buses._opening import open_on, shut_on
 from esair.loading import late
 
 if TYPE_CHECKING:
-    from esair.buses._exchanges import Exchange, Exchanges
-    from esair.buses._failures import Failures
-    from esair.buses._inbox import Awaited, Inbox
-    from esair.buses._link_bus import LinkBus
-    from esair.buses._opening import open_on, shut_on
+    from esair.buses._fakes import Awaited, Failures
     from esair.buses.can import (
         CanBus,
         CanState,
@@ -62,17 +66,48 @@ __all__ = [
     "wanted",
 ]
 
+
+@attrs.frozen
+class Medium:
+    """A medium, and where everything of it is.
+
+    Its package has the two classes, and two functions: ``devices(root)`` returns what
+    is plugged in as `Device` objects whose ``kind`` is the name of the medium;
+    ``toml(device, name)`` returns the lines of a robot.toml for one of them.
+
+    Attributes:
+        package: The package.
+        bus: The name of its class of buses.
+        fake: The name of the fake of it.
+    """
+
+    package: str
+    bus: str
+    fake: str
+
+    def get(self, name: str) -> Any:
+        """Return something of the package by its name; imports what is needed for it."""
+        return getattr(importlib.import_module(self.package), name)
+
+
+MEDIA: Final[Mapping[str, Medium]] = MappingProxyType(
+    {
+        "serial": Medium("esair.buses.serial", bus="SerialBus", fake="FakeSerial"),
+        "can": Medium("esair.buses.can", bus="CanBus", fake="FakeCan"),
+        "i2c": Medium("esair.buses.i2c", bus="I2CBus", fake="FakeI2c"),
+        "spi": Medium("esair.buses.spi", bus="SpiBus", fake="FakeSpi"),
+        "mqtt": Medium("esair.buses.mqtt", bus="MqttBus", fake="FakeMqtt"),
+    }
+)
+"""The media by what a robot.toml calls them: ``[bus.x] type = "serial"``."""
+
 _late, _ = late(
     __name__,
     {
         "can": "CanBus CanState Frame FrameKind FrameLink python_can",
-        "_exchanges": "Exchange Exchanges",
-        "_failures": "Failures",
+        "_fakes": "Awaited Failures",
         "i2c": "I2CBus MessageLink RegisterLink",
-        "_inbox": "Inbox Awaited",
-        "_link_bus": "LinkBus",
         "serial": "SerialBus SerialLink",
-        "_opening": "open_on shut_on",
     },
 )
 

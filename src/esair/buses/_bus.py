@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import attrs
 
 from esair.exceptions import DeviceLostError, DriverStuckError, describe
-from esair.loop import Executor, spawn, wake
+from esair.loop import Executor, look_at, spawn, wake
 from esair.values import check_name
 from esair.watchdog import Outlet
 
@@ -159,7 +159,7 @@ class Bus(abc.ABC):
             loop = asyncio.get_running_loop()
             opening = spawn(loop, self._open_once(), name=f"open bus {self.name}")
             self._opening = opening
-            opening.add_done_callback(_heard)
+            opening.add_done_callback(look_at)  # who waited may be cancelled
         # Not awaited itself: if it is cancelled by a close, its callers are not.
         await asyncio.wait({opening})
         if opening.cancelled():
@@ -201,7 +201,12 @@ class Bus(abc.ABC):
 
     def _keep_watch(self) -> None:
         """Look out for the wire while somebody waits for it, and for its departure."""
-        looks, told, seen = self._to_watch()
+        looks: Callable[[], Hashable | None] | None = None
+        told: Callable[[], None] | None = None
+        if self.is_open and self._still_there is not None:
+            looks, told, seen = self._look_after, self._departed, None
+        elif self._is_missed and self._on_arrival and self._presence is not None:
+            looks, told, seen = self._presence, self.arrived, self._seen_first
         if told == self._watched:
             return
         self._watched = told
@@ -214,17 +219,6 @@ class Bus(abc.ABC):
             # Without a thread or a descriptor left the devices still try by themselves.
             with contextlib.suppress(OSError, RuntimeError):
                 self._end_of_watch = watch(looks, told, seen=seen)
-
-    def _to_watch(
-        self,
-    ) -> tuple[
-        Callable[[], Hashable | None] | None, Callable[[], None] | None, Hashable | None
-    ]:
-        if self.is_open and self._still_there is not None:
-            return self._look_after, self._departed, None
-        if self._is_missed and self._on_arrival and self._presence is not None:
-            return self._presence, self.arrived, self._seen_first
-        return None, None, None
 
     def _look_after(self) -> Hashable | None:
         assert self._still_there is not None
@@ -300,8 +294,7 @@ class Bus(abc.ABC):
         self.stats.lost += 1
         self._note(error)
         self._keep_watch()
-        for listener in tuple(self._on_lost):
-            listener(error)
+        self._tell(self._on_lost, error)
         self._end_waits()
         self._let_go()
 
@@ -362,16 +355,33 @@ class Bus(abc.ABC):
 
     def arrived(self) -> None:
         """Tell everybody that the wire is there again; nothing is opened by that."""
-        if self.is_open:
-            return
-        for listener in tuple(self._on_arrival):
-            listener()
+        if not self.is_open:
+            self._tell(self._on_arrival)
+
+    def _tell(self, listeners: list[Callable[..., None]], *news: object) -> None:
+        """Tell all, also those behind one that fails: nobody's loss is another's."""
+        for listener in tuple(listeners):
+            try:
+                listener(*news)
+            except Exception as error:
+                told = f"a listener of bus {self.name} failed"
+                asyncio.get_running_loop().call_exception_handler(
+                    {"message": told, "exception": error}
+                )
 
     async def _far_end(self, wire: Wire) -> Any:
         """Return what is at the far end now, which tells of its arrivals from then on."""
         far_end = await wire.join(self)
         far_end.on_plug(self.arrived)
         return far_end
+
+    def loss(self, error: BaseException) -> DeviceLostError:
+        """Return an error as the loss of the bus that it is."""
+        if isinstance(error, DeviceLostError):
+            return error
+        loss = DeviceLostError(self.name, describe(error))
+        loss.__cause__ = error
+        return loss
 
     def failed(self, error: E) -> E:
         """Count an error of the bus, and return it to be raised."""
@@ -387,12 +397,6 @@ class Bus(abc.ABC):
         if self.error is not None:
             state = describe(self.error)
         return f"<{type(self).__name__} {self.name!r} {state}>"
-
-
-def _heard(opening: asyncio.Task[None]) -> None:
-    """Have heard of an error, also if all who waited for it have been cancelled."""
-    if not opening.cancelled():
-        opening.exception()
 
 
 def wanted() -> bool:

@@ -15,7 +15,7 @@ from esair.loop import Deadline, Deadlines, InLine, arrive, fail, had_turn
 LATE_LIMIT = 0.4
 """How long after it was due an answer may still come, in seconds."""
 
-REQUEST_LIMIT = 64
+REQUEST_LIMIT = 256
 """How many requests may wait on one wire."""
 
 
@@ -44,7 +44,7 @@ class Exchanges:
     def __init__(
         self, bus: Bus, *, late_limit: float = LATE_LIMIT, limit: int = REQUEST_LIMIT
     ) -> None:
-        self._bus = bus
+        self.bus = bus
         self._late_limit = late_limit
         self._limit = limit
         self.now: Exchange | None = None
@@ -62,11 +62,6 @@ class Exchanges:
     def waiting(self) -> int:
         """How many requests wait for their turn, or for their answer."""
         return len(self._line) + (self.now is not None)
-
-    @property
-    def owed(self) -> int:
-        """How many answers may still come that nobody waits for."""
-        return len(self.unanswered)
 
     async def ask(
         self,
@@ -93,10 +88,7 @@ class Exchanges:
             NoTurnError: Others had the wire all the time; it was not sent.
             DriverStuckError: There was no answer in time.
         """
-        exchange = self.request(*kinds, timeout=timeout, answers=answers)
-        if not self.take(exchange):
-            await exchange.turn()
-        with exchange:
+        async with self.request(*kinds, timeout=timeout, answers=answers) as exchange:
             exchange.begin()
             await send(exchange.left)
             return await exchange.answer(patience=patience)
@@ -128,7 +120,7 @@ class Exchanges:
                 if owed:  # they cannot be told apart
                     now.answers = None
             if owed:
-                self._bus.stats.late += 1
+                self.bus.stats.late += 1
                 self._forget((numbered or owed)[0])
                 return False
         if mine and now is not None:
@@ -164,13 +156,6 @@ class Exchanges:
 
     # For the exchanges.
 
-    def take(self, exchange: Exchange) -> bool:
-        """Let an exchange leave now, if it need not wait for anything."""
-        if self.now is not None or self.unanswered:
-            return False
-        self.now = exchange
-        return True
-
     async def take_turn(self, exchange: Exchange) -> None:
         """Wait until an exchange may leave."""
         for owed, deadline in self.unanswered.items():
@@ -180,8 +165,8 @@ class Exchanges:
             self.now = exchange
             return
         if len(self._line) >= self._limit:
-            self._bus.stats.refused += 1
-            raise BusyError(f"bus {self._bus.name}", "number of requests", self._limit)
+            self.bus.stats.refused += 1
+            raise BusyError(f"bus {self.bus.name}", "number of requests", self._limit)
         self._line.append(exchange)
         try:
             await exchange.wait()
@@ -245,19 +230,6 @@ class Exchanges:
                     self.now = exchange
                     exchange.begin_turn()
                     return
-
-    def no_turn(self, exchange: Exchange, stuck: DriverStuckError) -> DriverStuckError:
-        """Return the error for a request that could not leave in time."""
-        if self.is_owed_to(exchange):  # its own device has not answered
-            return stuck
-        self._bus.stats.no_turn += 1
-        return self._bus.failed(
-            NoTurnError(self._bus.name, stuck.call, max(stuck.seconds, TURN_LIMIT))
-        )
-
-    def stuck(self, what: str, seconds: float) -> DriverStuckError:
-        """Return the error for a request whose time is up, counted."""
-        return self._bus.failed(DriverStuckError(self._bus.name, what, seconds))
 
 
 class Exchange:
@@ -384,43 +356,43 @@ class Exchange:
         if self._waiter is not None:
             fail(self._waiter, TimeoutError())
 
-    async def turn(self) -> None:
-        """Wait until it may leave."""
+    async def __aenter__(self) -> Self:
+        exchanges = self._exchanges
+        if exchanges.now is None and not exchanges.unanswered:
+            exchanges.now = self
+            return self
+        bus = exchanges.bus
         try:
-            await self._exchanges.take_turn(self)
+            await exchanges.take_turn(self)
         except DriverStuckError:
             raise
         except TimeoutError:
-            raise self._exchanges.no_turn(self, self._stuck()) from None
+            if exchanges.is_owed_to(self):  # its own device has not answered
+                raise self._stuck() from None
+            bus.stats.no_turn += 1
+            seconds = max(self._seconds, TURN_LIMIT)
+            raise bus.failed(NoTurnError(bus.name, self._what(), seconds)) from None
         if self.left <= 0.0:  # its turn came with the end of its time
-            self._exchanges.end_turn(self)
+            exchanges.end_turn(self)
             raise self._stuck()
-
-    async def __aenter__(self) -> Self:
-        if not self._exchanges.take(self):
-            await self.turn()
         return self
 
     async def __aexit__(
         self, _: object, error: BaseException | None, *__: object
     ) -> None:
-        self.__exit__(None, error)
-
-    def __enter__(self) -> Self:
-        return self  # its turn has come
-
-    def __exit__(self, _: object, error: BaseException | None, *__: object) -> None:
         if isinstance(error, BusyError):  # nothing has left
             self.end()
         self._exchanges.end_turn(self)
         if isinstance(error, TimeoutError) and not isinstance(error, DriverStuckError):
             raise self._stuck() from None
 
-    def _stuck(self) -> DriverStuckError:
+    def _what(self) -> str:
         what = self.name
-        if not isinstance(what, str):
-            what = f"answer to {what!r:.40}"
-        return self._exchanges.stuck(what, self._seconds)
+        return what if isinstance(what, str) else f"answer to {what!r:.40}"
+
+    def _stuck(self) -> DriverStuckError:
+        bus = self._exchanges.bus
+        return bus.failed(DriverStuckError(bus.name, self._what(), self._seconds))
 
 
 @functools.lru_cache

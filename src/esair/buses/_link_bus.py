@@ -13,6 +13,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 from esair.buses._bus import TURN_LIMIT, Bus, Wire, wanted
 from esair.buses._opening import open_on, shut_on
 from esair.exceptions import (
+    BadValueError,
     BusyError,
     DeviceFaultError,
     DeviceLostError,
@@ -22,7 +23,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.loop import turn_of
-from esair.values import check_duration, check_seconds
+from esair.values import check_duration, check_seconds, is_whole
 
 T = TypeVar("T")
 
@@ -105,6 +106,13 @@ class LinkBus(Bus, Generic[L]):
     def _chip(self, address: int | None) -> str:
         return "a chip" if address is None else self._chip_form.format(address)
 
+    def _check_whole(
+        self, field: str, value: object, least: int, most: int, what: str = ""
+    ) -> None:
+        if not is_whole(value, least, most):
+            told = f"expected {least} to {most}{what}, not {value!r:.80}"
+            raise BadValueError(self.name, field, told)
+
     def _same_place(self) -> bool:
         seen = self._identity()
         return seen is not None and seen == self._opened_as
@@ -163,7 +171,6 @@ class LinkBus(Bus, Generic[L]):
             elif self._loop is not None:
                 self._loop.call_soon_threadsafe(self.lost, outcome.error)
             raise outcome.error from outcome.cause
-        self.stats.sent += 1
         return outcome
 
     @property
@@ -177,8 +184,20 @@ class LinkBus(Bus, Generic[L]):
         address: int | None,
         timeout: float | None,
         repeated: frozenset[int] = frozenset(),
+        *,
+        sent: bool = True,
+        received: bool = False,
     ) -> T:
-        """Make a transfer in its turn; again, with growing pauses, after some errors."""
+        """Make a transfer in its turn; again, with growing pauses, after some errors.
+
+        Args:
+            transfer: Makes it.
+            address: The chip, for errors.
+            timeout: How long it may take; that of the bus if None.
+            repeated: The error numbers after which it is made again.
+            sent: Whether it counts as sent.
+            received: Whether it counts as received.
+        """
         left = self.timeout
         if timeout is not None:
             left = check_duration(self.name, "timeout", timeout)
@@ -187,7 +206,10 @@ class LinkBus(Bus, Generic[L]):
         attempt = 0
         while True:
             outcome = await self._call(
-                self._make, transfer, address, left, timeout=left, address=address
+                self._make,
+                *(transfer, address, left, sent, received),
+                timeout=left,
+                address=address,
             )
             if not isinstance(outcome, Failure):
                 return outcome  # type: ignore[no-any-return]
@@ -205,15 +227,20 @@ class LinkBus(Bus, Generic[L]):
         transfer: Callable[[L], T],
         address: int | None,
         seconds: float,
+        sent: bool = True,
+        received: bool = False,
     ) -> T | Failure:
         """Make a transfer, on the thread, and find out what an error means."""
         try:
-            return transfer(link)
+            made = transfer(link)
         except EsairError:
             raise
         except OSError as error:
             reason = self._explained(error, address, seconds)
             return Failure(reason, error, self._code(error, address))
+        self.stats.sent += sent
+        self.stats.received += received
+        return made
 
     def _code(self, error: OSError, address: int | None) -> int | None:
         """Return the error number by which a transfer is repeated, if it may be."""
@@ -255,10 +282,10 @@ class LinkBus(Bus, Generic[L]):
         return self.failed(NoTurnError(self.name, self._chip(address), seconds))
 
     def _told(self, error: EsairError) -> EsairError:
-        if not isinstance(error, DeviceLostError):
-            return self.failed(error)
-        self.lost(error)
-        return error
+        if isinstance(error, DeviceLostError):
+            self.lost(error)  # which counts it
+            return error
+        return self.failed(error)
 
     def _connected(self) -> L:
         if not self.is_open or self._link is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 from esair.exceptions import BusyError, DriverStuckError
 from esair.loop import Executor
@@ -32,11 +32,26 @@ async def open_on(
         BusyError: Too many calls wait.
         DriverStuckError: It took too long.
     """
-    opening = Opening(make, shut)
+    lock = threading.Lock()
+    opened: list[T] = []
+    is_abandoned = False
+
+    def work() -> T:
+        made = make()
+        with lock:
+            opened.append(made)
+            is_nobodys = is_abandoned
+        if is_nobodys:
+            shut(made)
+        return made
+
     try:
-        return await executor.call(opening.open, timeout=timeout)
+        return await executor.call(work, timeout=timeout)
     except BaseException:
-        opening.abandon()
+        with lock:
+            is_abandoned = True
+        for each in opened:  # open, and its caller was gone by then
+            threading.Thread(target=shut, args=(each,), daemon=True).start()
         raise
 
 
@@ -54,32 +69,3 @@ async def shut_on(
     """
     with contextlib.suppress(DriverStuckError, BusyError):  # no more threads
         await executor.call(shut, timeout=timeout, bounded=False)
-
-
-class Opening(Generic[T]):
-    """One attempt to open something, in a thread that cannot be stopped."""
-
-    def __init__(self, make: Callable[[], T], shut: Callable[[T], object]) -> None:
-        self._make = make
-        self._shut = shut
-        self._lock = threading.Lock()
-        self._abandoned = False
-        self._opened: list[T] = []
-
-    def open(self) -> T:
-        """Open it, in the thread; close it again if nobody waits for it by then."""
-        opened = self._make()
-        with self._lock:
-            self._opened.append(opened)
-            abandoned = self._abandoned
-        if abandoned:
-            self._shut(opened)
-        return opened
-
-    def abandon(self) -> None:
-        """Have it closed, as soon as it is open. Never blocks."""
-        with self._lock:
-            self._abandoned = True
-            opened = tuple(self._opened)
-        for each in opened:  # open, and its caller was gone by then
-            threading.Thread(target=self._shut, args=(each,), daemon=True).start()

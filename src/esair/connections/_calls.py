@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import attrs
 
 from esair.exceptions import (
+    BusyError,
     DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
@@ -179,6 +180,8 @@ def translate(resource: str, error: BaseException) -> EsairError:
     translated: EsairError
     if is_loss(error):
         translated = DeviceLostError(resource, describe(error))
+    elif isinstance(error, BusyError):  # of its bus: the device was not asked
+        translated = NoTurnError(resource, "a call", 0.0)
     else:
         translated = DeviceFaultError(resource, describe(error))
     translated.__cause__ = error

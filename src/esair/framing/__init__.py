@@ -4,10 +4,9 @@
 """
 
 from esair.framing._cobs import Cobs
-from esair.framing._framing import Framing
+from esair.framing._framing import Framing, Looks
 from esair.framing._length_crc import LengthCrc
-from esair.framing._lines import Lines
-from esair.framing._looks import Looks
+from esair.framing._lines import Lines, Raw
 from esair.framing._mavlink import Mavlink
 from esair.framing._modbus import ModbusRtu, ModbusTcp
 from esair.framing._nmea import (
@@ -17,7 +16,6 @@ from esair.framing._nmea import (
     decode_sentence,
     encode_sentence,
 )
-from esair.framing._raw import Raw
 
 __all__ = [
     "FRAMINGS",

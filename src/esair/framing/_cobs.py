@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterator
 
 from esair.exceptions import ConfigError
+from esair.framing._framing import Looks
 from esair.framing._lines import Delimited
-from esair.framing._looks import Looks
 
 _NO_ZERO = re.compile(rb"[^\0]")
 

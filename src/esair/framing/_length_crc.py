@@ -10,8 +10,7 @@ from collections.abc import Callable
 from typing import Literal
 
 from esair.exceptions import ConfigError
-from esair.framing._framing import Framing
-from esair.framing._looks import Looks
+from esair.framing._framing import Framing, Looks
 from esair.values import check_choice, check_whole
 
 _CRCS: dict[str, tuple[int, Callable[[bytes | bytearray], int]]] = {

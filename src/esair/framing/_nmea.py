@@ -13,8 +13,7 @@ import itertools
 import re
 
 from esair.exceptions import BadValueError
-from esair.framing._framing import Framing
-from esair.framing._looks import Looks
+from esair.framing._framing import Framing, Looks
 
 _HALVES = [tuple(8 << place for place in reversed(range(n))) for n in range(32)]
 """How wide the halves of 1, 2, 4 and so on bytes are, in bits."""
@@ -23,6 +22,8 @@ _NUMBERS = {
     bytes(pair): int(bytes(pair), 16)
     for pair in itertools.product(b"0123456789ABCDEFabcdef", repeat=2)
 }
+
+_LINE = re.compile(rb"(?s).*\$([^$\x80-\xff]*)\*([0-9A-Fa-f]{2})[\r\n]*\Z")
 
 _FORBIDDEN = frozenset("$*,\r\n!\\^~")
 
@@ -61,23 +62,10 @@ def decode_sentence(line: bytes) -> list[str]:
     Raises:
         SentenceError: It is no sentence, or its checksum is wrong.
     """
-    return _body(line).decode("ascii").split(",")
-
-
-def _body(line: bytes) -> bytes:
-    begin = line.rfind(b"$")
-    body, star, digits = line[begin + 1 :].rstrip(b"\r\n").rpartition(b"*")
-    if begin < 0 or not star:
-        raise SentenceError(f"expected $...*XX, not {line!r:.80}")
-    try:
-        told = int(digits, 16) if len(digits) == 2 and digits.isalnum() else -1
-    except ValueError:
-        told = -1
-    if told < 0 or not body.isascii():
-        raise SentenceError(f"expected ASCII and a checksum, not {line!r:.80}")
-    if told != checksum(body):
-        raise SentenceError(f"the checksum of {line!r:.80} is {checksum(body):02X}")
-    return body
+    found = _LINE.match(line)
+    if found is None or _NUMBERS[found[2]] != checksum(found[1]):
+        raise SentenceError(f"expected $...*XX, and its checksum, not {line!r:.80}")
+    return found[1].decode("ascii").split(",")
 
 
 class Sentences(Framing):

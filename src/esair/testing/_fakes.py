@@ -9,6 +9,8 @@ import copy
 from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any, Generic, TypeVar
 
+import attrs
+
 from esair.buses import Awaited, Failures
 from esair.exceptions import DeviceLostError
 from esair.resources import Actuator, Resource, Sensor
@@ -18,19 +20,21 @@ T = TypeVar("T")
 _NOTHING: Any = object()
 
 
+@attrs.define(eq=False)
 class _Faults:
     """What a fake is told to do wrong."""
 
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.plugged = True
-        self.silent = False
-        self.go = asyncio.Event()
+    name: str
+    plugged: bool = True
+    silent: bool = False
+    go: asyncio.Event = attrs.field(factory=asyncio.Event)
+    failures: Failures = attrs.field(factory=Failures)
+    delay: float = 0.0
+    ack: float = 0.0
+    deaf: int = 0
+
+    def __attrs_post_init__(self) -> None:
         self.go.set()
-        self.failures = Failures()
-        self.delay = 0.0
-        self.ack = 0.0
-        self.deaf = 0
 
     async def call(self) -> None:
         """One call of the device: wait, be gone, or fail, as told."""
@@ -58,6 +62,12 @@ class _Faults:
                 raise
             self.deaf -= 1
 
+    async def there(self) -> None:
+        """Be asked for nothing but to be there."""
+        if self.silent:
+            await self.call()
+        self.check()
+
     def check(self) -> None:
         if not self.plugged:
             raise DeviceLostError(self.name, "it is unplugged")
@@ -76,9 +86,7 @@ class _Fake(Resource):
 
     async def open(self) -> None:
         """Be opened, unless it is unplugged; silent, it never answers that."""
-        if self._faults.silent:
-            await self._faults.call()
-        self._faults.check()
+        await self._faults.there()
         self.opened += 1
         self.is_open = True
         self.has_power_cycled = False
@@ -99,9 +107,7 @@ class _Fake(Resource):
 
     async def is_set_up(self) -> bool:
         """Tell whether its power has been on since it was opened."""
-        if self._faults.silent:
-            await self._faults.call()
-        self._faults.check()
+        await self._faults.there()
         return not self.has_power_cycled
 
     def power_cycle(self) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from esair.buses._played import LOG_LIMIT
+from esair.buses._fakes import LOG_LIMIT
 from esair.buses.i2c import Registers
 from esair.exceptions import (
     DeviceFaultError,

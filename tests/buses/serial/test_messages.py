@@ -79,6 +79,42 @@ async def test_each_opening_begins_with_a_clean_decoder(line: FakeSerial) -> Non
     assert await inbox.take() == b"whole"
 
 
+# Echo.
+
+
+@pytest.mark.promise("BUS-3")
+async def test_what_was_thrown_away_has_no_echo() -> None:
+    """Else the echo of the next request would be taken for its answer."""
+    line = FakeSerial("servos", echo=True, write_timeout=0.1)
+    line.on_write = lambda data: data
+    await line.open()
+    line.stall(after=3)
+    with pytest.raises(DriverStuckError):
+        await line.write(b"first\n")
+    line.resume()
+
+    asking = asyncio.create_task(line.ask(b"second", prefix=b"second"))
+    await line.until(b"second")
+    line.say(b"second: 2")
+
+    assert await asking == b"second: 2"
+    await line.close()
+
+
+async def test_an_echo_that_never_comes_is_not_kept_for_ever() -> None:
+    """A line that was said to have one, and has none, costs no memory."""
+    line = FakeSerial("servos", echo=True)
+    await line.open()
+    for _ in range(1000):
+        await line.write(bytes(1000))
+
+    assert len(line._echo) <= 65536
+    assert line.stats.bad_frames > 0
+    line.say(b"heard")
+    await asyncio.sleep(0)
+    await line.close()
+
+
 # Exchanges.
 
 
@@ -202,10 +238,10 @@ async def test_cancelled_at_any_step(
 async def test_requests_that_wait_are_bounded(line: FakeSerial) -> None:
     """Beyond the bound a request is refused at once."""
     await line.open()
-    asking = [asyncio.create_task(line.ask(b"x", timeout=1.0)) for _ in range(33)]
+    asking = [asyncio.create_task(line.ask(b"x", timeout=1.0)) for _ in range(257)]
     await asyncio.sleep(0)
 
-    with pytest.raises(BusyError, match="32"):
+    with pytest.raises(BusyError, match="256"):
         await line.ask(b"x")
 
     assert line.stats.refused == 1

@@ -24,9 +24,7 @@ from tests.patience import within
 from esair.buses import SerialBus
 from esair.buses.serial import _port as _serial_port
 from esair.buses.serial import _ports
-from esair.buses.serial._owner import explain
-from esair.buses.serial._place import SerialPlace
-from esair.buses.serial._port import Port, reach_port
+from esair.buses.serial._port import Port, SerialPlace, explain, reach_port
 from esair.exceptions import ConfigError, DeviceLostError
 from esair.loop import Executor
 

@@ -8,6 +8,8 @@ import errno
 from collections.abc import Callable, Hashable
 from typing import Any, Final, Literal
 
+import attrs
+
 from esair.buses._bus import Bus, BusStats, Wire, listen
 from esair.buses._inbox import Inbox, within
 from esair.buses.can._frame import (
@@ -16,15 +18,16 @@ from esair.buses.can._frame import (
     ErrorFrame,
     Filter,
     Frame,
+    FrameInbox,
     FrameKind,
     FrameLink,
     Ids,
+    NewestInbox,
     check_data,
     decode_error,
     filters_of,
     key_of,
 )
-from esair.buses.can._inbox import FrameInbox, NewestInbox
 from esair.exceptions import (
     BusyError,
     ConfigError,
@@ -114,9 +117,10 @@ class Outbox:
         assert link is not None
         mine = _Waiting(replaces)
         line = self._lines.setdefault(key, [])
-        if replaces is not None:
-            for older in line:
-                older.give_way_to(mine)
+        for older in line if replaces is not None else ():
+            if older.replaces == replaces:
+                older.is_obsolete = True
+                older.wake()
         line.append(mine)
         try:
             if line[0] is mine and await link.send(frame, seconds):
@@ -165,20 +169,13 @@ class Outbox:
         return False
 
 
+@attrs.define(eq=False)
 class _Waiting:
     """A frame on its way, until it is sent or a newer one makes it obsolete."""
 
-    __slots__ = ("_woken", "is_obsolete", "replaces")
-
-    def __init__(self, replaces: Hashable | None) -> None:
-        self.replaces = replaces
-        self.is_obsolete = False
-        self._woken: asyncio.Future[None] | None = None
-
-    def give_way_to(self, newer: _Waiting) -> None:
-        if self.replaces == newer.replaces:
-            self.is_obsolete = True
-            self.wake()
+    replaces: Hashable | None
+    is_obsolete: bool = False
+    _woken: asyncio.Future[None] | None = None
 
     def wake(self) -> None:
         if self._woken is not None and not self._woken.done():
@@ -191,11 +188,6 @@ class _Waiting:
         self._woken = None
 
 
-_LOST_WHEN: Final = {
-    "warning": CanState.WARNING,
-    "passive": CanState.PASSIVE,
-    "bus_off": CanState.BUS_OFF,
-}
 _DATA = FrameKind.DATA
 
 
@@ -258,8 +250,8 @@ class CanBus(Bus):
         self.send_timeout = send_timeout
         self.fd = fd
         self.bitrate_switch = bitrate_switch
-        check_choice(name, "lost_when", lost_when, _LOST_WHEN)
-        self._lost_when = _LOST_WHEN[lost_when]
+        check_choice(name, "lost_when", lost_when, ("warning", "passive", "bus_off"))
+        self._lost_when = CanState[lost_when.upper()]
         self._state = CanState.ACTIVE
         self._on_state: list[Callable[[CanState], None]] = []
         self._options = options
@@ -375,8 +367,7 @@ class CanBus(Bus):
                 self.failed(error)
             raise
         except OSError as error:
-            loss = DeviceLostError(self.name, describe(error))
-            loss.__cause__ = error
+            loss = self.loss(error)
             if self._outbox.link is link:
                 self._gone(self._epoch, loss)
             raise loss from error
@@ -469,24 +460,18 @@ class CanBus(Bus):
 
     def _received(self, frame: Frame) -> None:
         inboxes = self._routes[frame.id | EXTENDED if frame.extended else frame.id]
-        if frame.kind is not _DATA or not inboxes:
-            self._unusual(frame, heard=bool(inboxes))
-            return
-        self.stats.received += 1
-        self._unacknowledged = False
-        for inbox in inboxes:
-            inbox.offer(frame)
-
-    def _unusual(self, frame: Frame, *, heard: bool) -> None:
         if frame.kind is FrameKind.ERROR:
             self._heed(decode_error(frame.id, frame.data))
             return
-        self.stats.received += 1
+        stats = self.stats
+        stats.received += 1
         self._unacknowledged = False
-        if heard:  # a remote frame where data are expected
-            self.stats.bad_frames += 1
-        else:
-            self.stats.unheard += 1
+        if frame.kind is _DATA:
+            for inbox in inboxes:
+                inbox.offer(frame)
+        elif inboxes:  # a remote frame where data are expected
+            stats.bad_frames += 1
+        stats.unheard += not inboxes
 
     def _heed(self, error: ErrorFrame) -> None:
         stats = self.stats
@@ -508,36 +493,21 @@ class CanBus(Bus):
         if state is self._state:
             return
         self._state = state
-        for listener in tuple(self._on_state):
-            try:
-                listener(state)
-            except Exception as error:  # it must not take the bus down
-                asyncio.get_running_loop().call_exception_handler(
-                    {
-                        "message": f"a listener of bus {self.name} failed",
-                        "exception": error,
-                    }
-                )
+        self._tell(self._on_state, state)
 
     def _in_bad_state(self, state: CanState) -> DeviceLostError:
+        told = f"the controller is error-{state.name.lower()}, as lost_when says"
         if state is CanState.BUS_OFF:
-            set_up = f"ip link set {self.channel} down; ip link set {self.channel} up"
-            how = f" ({set_up})" if self._of_kernel else ""
-            return DeviceLostError(
-                self.name, f"the controller is bus-off: it must be started again{how}"
-            )
-        word = state.name.lower()
-        return DeviceLostError(
-            self.name, f"the controller is error-{word}, as lost_when says"
-        )
+            told = "the controller is bus-off: it must be started again"
+            if self._of_kernel:
+                set_up = f"ip link set {self.channel}"
+                told += f" ({set_up} down; {set_up} up)"
+        return DeviceLostError(self.name, told)
 
     def _gone(self, epoch: int, error: Exception) -> None:
         if epoch != self._epoch:
             return
-        loss = error
-        if not isinstance(error, DeviceLostError):
-            loss = DeviceLostError(self.name, describe(error))
-            loss.__cause__ = error
+        loss = self.loss(error)
         if not self.is_open:
             self._lost_in_opening = self._lost_in_opening or loss
             return

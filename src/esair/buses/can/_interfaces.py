@@ -122,14 +122,6 @@ VIRTUAL = "virtual CAN"
 """What an interface is called that has no wire, and so no bit rate."""
 
 
-_WORDS: Final = {
-    CanState.ACTIVE: "error-active",
-    CanState.WARNING: "error-warning",
-    CanState.PASSIVE: "error-passive",
-    CanState.BUS_OFF: "bus-off",
-}
-
-
 def devices(root: Path = ROOT) -> list[Device]:
     """Return the CAN interfaces that are there, by their names."""
     places = [
@@ -189,5 +181,6 @@ def _state(place: Path, found: Interface | None) -> str:
     if found is not None and found.bitrate is not None:
         words.append(f"{found.bitrate / 1000:g} kbit/s")
     if up and found is not None and found.has_controller:
-        words.append(_WORDS[found.state])
+        name = found.state.name.lower().replace("_", "-")
+        words.append(name if found.state is CanState.BUS_OFF else f"error-{name}")
     return ", ".join(words)

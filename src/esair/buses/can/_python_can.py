@@ -75,24 +75,43 @@ class Owner:
     bitrate_switch: bool
 
 
-class SocketNode:
-    """A node of SocketCAN, read and written by the event loop."""
+class Node:
+    """What both kinds of nodes have in common."""
 
-    def __init__(self, bus: Any, state: CanState, owner: Owner) -> None:
-        self.state = state
+    state = CanState.ACTIVE
+
+    def __init__(self, bus: Any, owner: Owner) -> None:
         self._bus = bus
         self._executor = owner.executor
         self._stats = owner.stats
         self._received = owner.received
         self._gone = owner.gone
+        self._fd_frames = owner.fd
+        self._bitrate_switch = owner.bitrate_switch
         self._loop = asyncio.get_running_loop()
+        self._closed = False
+
+    def _check(self) -> None:
+        if self._closed:
+            raise ConnectionError("the node is closed")
+
+    async def _shut(self, shut: Callable[[], object]) -> None:
+        with contextlib.suppress(DriverStuckError, BusyError):
+            await self._executor.call(shut, timeout=1.0)
+
+
+class SocketNode(Node):
+    """A node of SocketCAN, read and written by the event loop."""
+
+    def __init__(self, bus: Any, state: CanState, owner: Owner) -> None:
+        super().__init__(bus, owner)
+        self.state = state
         self._time = clock_of(self._loop)
         self._socket: socket.socket = bus.socket
         self._mtu = FD.size if owner.fd else _CLASSIC.size
         self._fd_flags = _FD_FRAME | (_FD_SWITCH if owner.bitrate_switch else 0)
         self._may_have_missed = 0
         self._missed = 0
-        self._closed = False
         self._set_up()
         self._fd = self._socket.fileno()
         self._arrivals = Arrivals.of(self._loop)
@@ -118,8 +137,7 @@ class SocketNode:
         self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed)
 
     async def send(self, frame: Frame, timeout: float) -> bool:
-        if self._closed:
-            raise ConnectionError("the node is closed")
+        self._check()
         number, data = frame.id, frame.data
         if frame.extended:
             number |= EXTENDED
@@ -145,12 +163,10 @@ class SocketNode:
         return True
 
     async def close(self) -> None:
-        if self._closed:
-            return
-        self._closed = True
-        self._loop.remove_reader(self._fd)
-        with contextlib.suppress(DriverStuckError, BusyError):
-            await self._executor.call(shut_bus, self._bus, timeout=1.0)
+        if not self._closed:
+            self._closed = True
+            self._loop.remove_reader(self._fd)
+            await self._shut(lambda: shut_bus(self._bus))
 
     def _readable(self) -> None:
         with self._arrivals:
@@ -219,11 +235,10 @@ MISSED_BEATS = 3
 """After how many heartbeats without a sign of it the reading thread is given up."""
 
 
-class ThreadNode:
+class ThreadNode(Node):
     """A node of an interface without a socket: one thread reads, the executor sends."""
 
     inbox_limit = 1024
-    state = CanState.ACTIVE
 
     def __init__(
         self,
@@ -235,39 +250,32 @@ class ThreadNode:
     ) -> None:
         import can
 
+        super().__init__(bus, owner)
         self._can = can
-        self._bus = bus
         # can.BusABC.recv measures its time-out by the wall clock: set back by an hour,
         # it waits for an hour. What it calls does not.
         own_recv = type(bus).recv is not can.BusABC.recv
         self._recv = bus.recv if own_recv else bus._recv_internal  # noqa: SLF001
         self._own_recv = own_recv
-        self._executor = owner.executor
-        self._stats = owner.stats
-        self._received = owner.received
-        self._gone = owner.gone
-        self._fd = owner.fd
-        self._bitrate_switch = owner.bitrate_switch
         self._echoes = echoes
         self._decodes_errors = decodes_errors
-        self._loop = asyncio.get_running_loop()
         self._time = clock_beside(self._loop)
-        self._closed = False
         self._wanted: frozenset[int] = frozenset()
         self._masks: tuple[Filter, ...] = ()
         self._incoming: collections.deque[Frame] = collections.deque(
             maxlen=self.inbox_limit
         )
         self._announced = False
-        self._counted = threading.Lock()
-        self._unheard = self._dropped = self._bad = 0
+        self._seen = [0, 0, 0]
+        """Unheard, dropped and bad frames; only the thread adds."""
+        self._counted = [0, 0, 0]
         self._beats = 0
         self._missed_beats = 0
         self._reader = threading.Thread(
             target=self._read, name=f"esair-{owner.executor.name}-reader", daemon=True
         )
         self._reader.start()
-        self._watch = self._loop.call_later(HEARTBEAT, self._check, self._beats)
+        self._watch = self._loop.call_later(HEARTBEAT, self._look_after, self._beats)
 
     def listen(self, filters: Collection[Filter] | None) -> None:
         wanted = (Filter(0, 0),) if filters is None else filters
@@ -275,8 +283,7 @@ class ThreadNode:
         self._masks = tuple(each for each in wanted if not each.is_exact)
 
     async def send(self, frame: Frame, timeout: float) -> bool:
-        if self._closed:
-            raise ConnectionError("the node is closed")
+        self._check()
         try:
             # With a guard, a frame whose time is over does not leave late.
             return await self._executor.call(
@@ -286,13 +293,11 @@ class ThreadNode:
             raise ConnectionError("the node is closed") from None
 
     async def close(self) -> None:
-        if self._closed:
-            return
-        self._closed = True
-        self._watch.cancel()
-        self._count()
-        with contextlib.suppress(DriverStuckError, BusyError):
-            await self._executor.call(self._end, timeout=1.0)
+        if not self._closed:
+            self._closed = True
+            self._watch.cancel()
+            self._count()
+            await self._shut(self._end)
 
     def _send(self, frame: Frame) -> bool:
         message = self._can.Message(
@@ -344,14 +349,12 @@ class ThreadNode:
             if number not in self._wanted and not any(
                 number & mask == key for key, mask in self._masks
             ):
-                with self._counted:
-                    self._unheard += 1
+                self._seen[0] += 1
                 return None
             if message.is_remote_frame:
                 kind = FrameKind.REMOTE
-            elif message.is_fd and not self._fd:
-                with self._counted:
-                    self._bad += 1
+            elif message.is_fd and not self._fd_frames:
+                self._seen[2] += 1
                 return None
         return Frame(
             message.arbitration_id,
@@ -363,8 +366,7 @@ class ThreadNode:
 
     def _put(self, frame: Frame) -> None:
         if len(self._incoming) == self.inbox_limit:
-            with self._counted:
-                self._dropped += 1
+            self._seen[1] += 1
         self._incoming.append(frame)
         if not self._announced:
             self._announced = True
@@ -380,22 +382,22 @@ class ThreadNode:
 
     def _count(self) -> None:
         """Add what the thread has counted, which only the event loop may do."""
-        with self._counted:
-            unheard, dropped, bad = self._unheard, self._dropped, self._bad
-            self._unheard = self._dropped = self._bad = 0
+        seen = self._seen.copy()
+        new = [now - before for now, before in zip(seen, self._counted, strict=True)]
+        self._counted = seen
         stats = self._stats
-        stats.received += unheard + dropped + bad
-        stats.unheard += unheard
-        stats.dropped += dropped
-        stats.bad_frames += bad
+        stats.received += sum(new)
+        stats.unheard += new[0]
+        stats.dropped += new[1]
+        stats.bad_frames += new[2]
 
-    def _check(self, beats: int) -> None:
+    def _look_after(self, beats: int) -> None:
         self._count()
         self._missed_beats = self._missed_beats + 1 if self._beats == beats else 0
         if self._missed_beats >= MISSED_BEATS:
             self._end_of_reading(ConnectionError("its reader does not come back"))
             return
-        self._watch = self._loop.call_later(HEARTBEAT, self._check, self._beats)
+        self._watch = self._loop.call_later(HEARTBEAT, self._look_after, self._beats)
 
     def _end_of_reading(self, error: Exception) -> None:
         if not self._closed:
@@ -448,7 +450,7 @@ def python_can(
     ) -> FrameLink:
         bus, state = await open_on(
             executor,
-            _Opening(executor.name, interface, channel, options).make,
+            lambda: _open(executor.name, interface, channel, options),
             lambda opened: shut_bus(opened[0]),
             timeout=OPEN_TIMEOUT,
         )
@@ -469,91 +471,66 @@ def python_can(
     return opener
 
 
-class _Opening:
-    """One try to open an interface, on the executor."""
+def _open(
+    owner: str, interface: str, channel: str, options: dict[str, Any]
+) -> tuple[Any, CanState | None]:
+    """Open an interface, blocking; its state is that of SocketCAN, or None."""
+    import can
 
-    def __init__(
-        self, owner: str, interface: str, channel: str, options: dict[str, Any]
-    ) -> None:
-        self._owner = owner
-        self._interface = interface
-        self._channel = channel
-        self._options = options
-
-    def make(self) -> tuple[Any, CanState | None]:
-        """Open the interface, blocking; its state is that of SocketCAN, or None."""
-        bus = self._open()
-        try:
-            return bus, self._state(bus)
-        except BaseException:
-            shut_bus(bus)
+    if interface == "socketcan":
+        # SocketcanBus forgets its descriptor when it cannot bind it.
+        _look(owner, channel, options)
+    field = "interface"
+    try:
+        bus: Any = can.Bus(channel=channel, interface=interface, **options)
+    except can.CanInterfaceNotImplementedError as error:
+        known = ", ".join(sorted(can.VALID_INTERFACES))
+        told = f"cannot be used: {describe(error)}; python-can knows {known}"
+        raise ConfigError(owner, field, f"{interface!r} {told}") from error
+    except ImportError as error:
+        told = f"{interface!r} needs another package: {describe(error)}"
+        raise ConfigError(owner, field, told) from error
+    except can.CanError as error:
+        raise ConnectionError(describe(error)) from error
+    except (TypeError, ValueError) as error:
+        if isinstance(error, OSError):
             raise
-
-    def _open(self) -> Any:
-        import can
-
-        if self._interface == "socketcan":
-            # SocketcanBus forgets its descriptor when it cannot bind it.
-            self._check(_can_interface.look_up(self._channel))
-        try:
-            return can.Bus(
-                channel=self._channel, interface=self._interface, **self._options
-            )
-        except can.CanInterfaceNotImplementedError as error:
-            known = ", ".join(sorted(can.VALID_INTERFACES))
-            raise ConfigError(
-                self._owner,
-                "interface",
-                f"{self._interface!r} cannot be used: {describe(error)}; "
-                f"python-can knows {known}",
-            ) from error
-        except ImportError as error:
-            raise ConfigError(
-                self._owner,
-                "interface",
-                f"{self._interface!r} needs another package: {describe(error)}",
-            ) from error
-        except (TypeError, ValueError) as error:
-            if isinstance(error, OSError):
-                raise
-            raise ConfigError(
-                self._owner,
-                "options",
-                f"python-can's {self._interface!r} does not take them: {describe(error)}",
-            ) from error
-        except can.CanError as error:
-            raise ConnectionError(describe(error)) from error
-
-    def _state(self, bus: Any) -> CanState | None:
+        told = f"python-can's {interface!r} does not take them: {describe(error)}"
+        raise ConfigError(owner, "options", told) from error
+    try:
         if not _is_socket_can(bus):
-            return None
+            return bus, None
         if bus.socket.family != socket.AF_CAN:  # a stand-in without the kernel's CAN
-            return CanState.ACTIVE
-        found = _can_interface.look_up(self._channel)
-        self._check(found)
-        return found.state
+            return bus, CanState.ACTIVE
+        return bus, _look(owner, channel, options)
+    except BaseException:
+        shut_bus(bus)
+        raise
 
-    def _check(self, found: _can_interface.Interface) -> None:
-        if not found.is_up:
-            raise ConnectionError(
-                f"the interface is down: ip link set {self._channel} up"
-            )
-        wanted = self._options.get("bitrate")
-        actual = found.bitrate  # rounded to what its clock can do
-        if wanted and actual and abs(actual - wanted) > 0.05 * actual:
-            raise ConfigError(
-                self._owner,
-                "bitrate",
-                f"{self._channel} is set to {actual}, not {wanted}: ip link set"
-                f" {self._channel} down, then up type can bitrate {wanted}",
-            )
-        if self._options.get("fd") and found.mtu < FD.size:
-            raise ConfigError(
-                self._owner,
-                "fd",
-                f"{self._channel} is not set up for CAN FD: "
-                f"ip link set {self._channel} type can ... dbitrate ... fd on",
-            )
+
+def _look(owner: str, channel: str, options: dict[str, Any]) -> CanState:
+    """Return the state of an interface of the kernel that is set up as it should be."""
+    found = _can_interface.look_up(channel)
+    if not found.is_up:
+        raise ConnectionError(f"the interface is down: ip link set {channel} up")
+    wanted, actual = options.get("bitrate"), found.bitrate
+    if (
+        wanted and actual and abs(actual - wanted) > 0.05 * actual
+    ):  # rounded by its clock
+        raise ConfigError(
+            owner,
+            "bitrate",
+            f"{channel} is set to {actual}, not {wanted}: ip link set"
+            f" {channel} down, then up type can bitrate {wanted}",
+        )
+    if options.get("fd") and found.mtu < FD.size:
+        raise ConfigError(
+            owner,
+            "fd",
+            f"{channel} is not set up for CAN FD: "
+            f"ip link set {channel} type can ... dbitrate ... fd on",
+        )
+    return found.state
 
 
 def _is_socket_can(bus: Any) -> bool:

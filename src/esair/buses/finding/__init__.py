@@ -67,11 +67,10 @@ def entries(directory: Path) -> list[Path]:
         found = list(directory.iterdir())
     except OSError:
         return []
-    return sorted(found, key=natural)
+    return sorted(found, key=_natural)
 
 
-def natural(path: Path) -> tuple[str, int]:
-    """Return a key that sorts ttyUSB10 behind ttyUSB9."""
+def _natural(path: Path) -> tuple[str, int]:  # ttyUSB10 is behind ttyUSB9
     letters = path.name.rstrip("0123456789")
     return letters, int(path.name[len(letters) :] or -1)
 
@@ -87,9 +86,6 @@ class Wakes:
 
     Events need pyudev (the extra ``hotplug``) and are a favor: without them, in a
     container or on another system, only the time counts.
-
-    Attributes:
-        has_events: Whether udev is listened to.
     """
 
     def __init__(self) -> None:
@@ -386,21 +382,15 @@ def watch(
     return forget
 
 
+@attrs.define(eq=False)
 class _Waiting:
     """One thing that is waited for."""
 
-    def __init__(
-        self,
-        loop: asyncio.AbstractEventLoop,
-        presence: Callable[[], Hashable | None],
-        arrived: Callable[[], None],
-        seen: Hashable | None,
-    ) -> None:
-        self.over = False
-        self._loop = loop
-        self._presence = presence
-        self._arrived = arrived
-        self._seen = seen
+    _loop: asyncio.AbstractEventLoop
+    _presence: Callable[[], Hashable | None]
+    _arrived: Callable[[], None]
+    _seen: Hashable | None
+    over: bool = False
 
     def look(self) -> None:
         """Look whether it has come. In the thread."""

@@ -11,8 +11,7 @@ from typing import TypeVar
 from esair.buses._bus import Wire
 from esair.buses._link_bus import GONE, LinkBus
 from esair.buses.i2c import _kernel as kernel
-from esair.buses.i2c import _link as wire
-from esair.buses.i2c._link import RegisterLink
+from esair.buses.i2c._kernel import RegisterLink
 from esair.exceptions import (
     BadValueError,
     DeviceFaultError,
@@ -141,21 +140,17 @@ class I2CBus(LinkBus[RegisterLink]):
             DriverStuckError: It took too long, or the bus is stuck.
         """
         self._check(address, register, length)
-
-        def transfer(link: RegisterLink) -> bytes:
-            data = bytes(link.read_i2c_block_data(address, register, length))
-            self.stats.received += 1
-            return data
-
-        repeated = ITS_CHIP if idempotent else OCCUPIED
-        data = await self._turn(transfer, address, timeout, repeated)
+        data = await self._turn(
+            lambda link: bytes(link.read_i2c_block_data(address, register, length)),
+            address,
+            timeout,
+            ITS_CHIP if idempotent else OCCUPIED,
+            sent=False,
+            received=True,
+        )
         if len(data) != length:
-            raise self.failed(
-                DeviceFaultError(
-                    self.name,
-                    f"chip {address:#04x} sent {len(data)} bytes instead of {length}",
-                )
-            )
+            told = f"{self._chip(address)} sent {len(data)} bytes instead of {length}"
+            raise self.failed(DeviceFaultError(self.name, told))
         return data
 
     async def write(
@@ -179,7 +174,6 @@ class I2CBus(LinkBus[RegisterLink]):
                 link.write_byte_data(address, register, data[0])
             else:
                 link.write_i2c_block_data(address, register, list(data))
-            self.stats.sent += 1
 
         repeated = ITS_CHIP if idempotent else OCCUPIED
         await self._turn(transfer, address, timeout, repeated)
@@ -196,7 +190,8 @@ class I2CBus(LinkBus[RegisterLink]):
         """Write bytes, then read bytes after a repeated start, as a chip wants them.
 
         An adapter that has only SMBus gets the call that means the same, for up to 33
-        bytes written, or one byte written and up to 32 read; else it is a fault.
+        bytes written, or one byte written and up to 32 read; else it is a fault. Other
+        errors are those of `read`.
 
         Args:
             address: The 7-bit address of the chip.
@@ -207,30 +202,19 @@ class I2CBus(LinkBus[RegisterLink]):
 
         Returns:
             The bytes that were read.
-
-        Raises:
-            BadValueError: Not an address or a length.
-            BusyError: Too many transfers wait.
-            DeviceFaultError: The chip does not answer, the transfer failed, or the
-                adapter cannot make it.
-            DeviceLostError: The bus itself is gone.
-            DriverStuckError: It took too long, or the bus is stuck.
         """
-        self._check_address(address)
         write = check_bytes(self.name, "write", write)
-        for field, count in (("write", len(write)), ("read", read)):
-            if not is_whole(count, 0, wire.LIMIT):
-                raise BadValueError(
-                    self.name, field, f"expected 0 to {wire.LIMIT} bytes, not {count!r}"
-                )
-
-        def make(link: RegisterLink) -> bytes:
-            data = wire.transfer(link, address, write, read)
-            self._count(write, read)
-            return data
-
-        repeated = ITS_CHIP if idempotent else OCCUPIED
-        return await self._turn(make, address, timeout, repeated)
+        self._check(address)
+        self._check_whole("write", len(write), 0, kernel.LIMIT, " bytes")
+        self._check_whole("read", read, 0, kernel.LIMIT, " bytes")
+        return await self._turn(
+            lambda link: kernel.transfer(link, address, write, read),
+            address,
+            timeout,
+            ITS_CHIP if idempotent else OCCUPIED,
+            sent=bool(write) or not read,
+            received=bool(read),
+        )
 
     async def transaction(
         self,
@@ -242,6 +226,8 @@ class I2CBus(LinkBus[RegisterLink]):
     ) -> T:
         """Make several transfers with nothing of anybody else in between.
 
+        Errors are those of `read`.
+
         Args:
             transfer: Gets the link (``smbus2.SMBus``) and may block. What it returns
                 is the result. It is called on the bus's thread.
@@ -249,21 +235,9 @@ class I2CBus(LinkBus[RegisterLink]):
             idempotent: Whether all of it may be done again from the start, if a
                 transfer in it was not acknowledged or lost to another master.
             timeout: How long to wait, in seconds; the bus's ``timeout`` if None.
-
-        Raises:
-            BusyError: Too many transfers wait.
-            DeviceFaultError: The chip does not answer, or a transfer failed.
-            DeviceLostError: The bus itself is gone.
-            DriverStuckError: It took too long, or the bus is stuck.
         """
-
-        def make(link: RegisterLink) -> T:
-            result = transfer(link)
-            self.stats.sent += 1
-            return result
-
         repeated = ITS_CHIP if idempotent else frozenset()
-        return await self._turn(make, address, timeout, repeated)
+        return await self._turn(transfer, address, timeout, repeated)
 
     async def scan(self, addresses: Iterable[int] = SCANNED) -> dict[int, str]:
         """Look which chips are there, as carefully as ``i2cdetect`` does.
@@ -312,7 +286,7 @@ class I2CBus(LinkBus[RegisterLink]):
 
     def _probe(self, link: RegisterLink, address: int) -> str | EsairError:
         try:
-            wire.probe(link, address)
+            kernel.probe(link, address)
         except OSError as error:
             if error.errno == errno.EBUSY:
                 return "busy"
@@ -340,28 +314,12 @@ class I2CBus(LinkBus[RegisterLink]):
             return None
         return kernel.owner(self.path, address)
 
-    def _count(self, write: object, read: object) -> None:
-        self.stats.sent += bool(write) or not read
-        self.stats.received += bool(read)
-
-    def _check_address(self, address: int) -> None:
+    def _check(self, address: int, register: int = 0, length: int = 1) -> None:
         if not is_whole(address, 0x03, 0x77):
-            raise BadValueError(
-                self.name, "address", f"expected 0x03 to 0x77, not {address!r:.80}"
-            )
-
-    def _check(self, address: int, register: int, length: int) -> None:
-        self._check_address(address)
-        if not is_whole(register, 0, 0xFF):
-            raise BadValueError(
-                self.name, "register", f"expected 0 to 255, not {register!r:.80}"
-            )
-        if not is_whole(length, 1, wire.SMBUS_LIMIT):
-            raise BadValueError(
-                self.name,
-                "length",
-                f"expected 1 to {wire.SMBUS_LIMIT} bytes, not {length!r:.80}",
-            )
+            told = f"expected 0x03 to 0x77, not {address!r:.80}"
+            raise BadValueError(self.name, "address", told)
+        self._check_whole("register", register, 0, 0xFF)
+        self._check_whole("length", length, 1, kernel.SMBUS_LIMIT, " bytes")
 
     # Its life.
 

@@ -144,7 +144,7 @@ class MqttBus(Bus):
         except DeviceLostError:
             raise
         except OSError as error:
-            loss = DeviceLostError(self.name, describe(error))
+            loss = self.loss(error)
             self._gone(loss)
             raise loss from error
 
@@ -163,9 +163,7 @@ class MqttBus(Bus):
         if wire is not None:
             wire = await self._far_end(wire)
         else:
-            from esair.buses.mqtt._client import (
-                Broker,
-            )  # the package, as late as can be
+            from esair.buses.mqtt._client import Broker  # as late as can be
 
             wire = Broker(
                 self.host,
@@ -210,9 +208,7 @@ class MqttBus(Bus):
     def _gone(self, error: BaseException) -> None:
         if not self.is_open:
             return
-        loss = error
-        if not isinstance(error, DeviceLostError):
-            loss = DeviceLostError(self.name, describe(error))
+        loss = self.loss(error)
         self._fail(loss)
         self.lost(loss)
 

@@ -137,7 +137,5 @@ class _Straight(asyncio.Queue[Any]):
         self._heard = heard
 
     def put_nowait(self, message: Any) -> None:
-        payload = (
-            message.payload
-        )  # bytes of what came; only what is sent may be another
-        self._heard(Message(str(message.topic), bytes(payload or b""), message.retain))
+        payload = bytes(message.payload or b"")  # only what is sent may be another type
+        self._heard(Message(str(message.topic), payload, message.retain))

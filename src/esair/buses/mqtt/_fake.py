@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
+import attrs
+
 from esair.buses._bus import listen
-from esair.buses._failures import Failures
-from esair.buses._inbox import Awaited, Sent
+from esair.buses._fakes import Fake
 from esair.buses.mqtt._bus import MqttBus
 from esair.buses.mqtt._wire import Message, MqttWire, matches
 
@@ -16,8 +17,12 @@ SENT_LIMIT = 4096
 """How many messages of the robot are kept; then the newest win."""
 
 
-class FakeMqtt(MqttBus):
+class FakeMqtt(Fake[Message, str], MqttBus):
     """A broker in memory that does what its test tells it.
+
+    ``until(wanted, timeout=1.0)`` waits for a message of the robot, by its topic or a
+    condition, and returns the newest; ``fail(error, after=0, times=1)`` raises an error
+    from what it publishes, and an `OSError` is a loss.
 
     Args:
         name: The name of the bus.
@@ -31,10 +36,9 @@ class FakeMqtt(MqttBus):
     def __init__(self, name: str = "mqtt", **options: Any) -> None:
         self._far = _Memory(self)
         super().__init__(name=name, wire=self._far, **options)
-        self.sent: Sent[Message] = Sent(maxlen=SENT_LIMIT)
+        self._begin(SENT_LIMIT)
         self.kept: dict[str, Message] = {}
         self._on_message: list[Callable[[Message], None]] = []
-        self._until: Awaited[Message] = Awaited()
 
     def feed(self, topic: str, payload: bytes | str, *, retain: bool = False) -> None:
         """Publish a message as another client does."""
@@ -43,40 +47,6 @@ class FakeMqtt(MqttBus):
     def on_message(self, listener: Callable[[Message], None]) -> Callable[[], None]:
         """Call a function with each message of the robot; returns how to stop that."""
         return listen(self._on_message, listener)
-
-    async def until(
-        self, wanted: str | Callable[[Message], bool], *, timeout: float = 1.0
-    ) -> Message:
-        """Wait until the robot has published a message, and return the newest.
-
-        Args:
-            wanted: A topic, or a condition on a message.
-            timeout: How long to wait, in seconds.
-
-        Raises:
-            TimeoutError: It did not come; the last messages are in the error.
-        """
-        return await self._until.until(
-            wanted if callable(wanted) else lambda message: message.topic == wanted,
-            reversed(self.sent),
-            timeout,
-            lambda: (
-                f"{self.name}: {wanted!r} did not come in {timeout:g} s; "
-                f"the last messages are {self.sent[-5:]!r}"
-            ),
-        )
-
-    def fail(
-        self, error: BaseException, *, after: int = 0, times: int | None = 1
-    ) -> None:
-        """Raise an error from what the robot publishes; an `OSError` is a loss.
-
-        Args:
-            error: What to raise.
-            after: How many go well before.
-            times: How many fail; None for all from then on.
-        """
-        self._far.failures.add(error, after, times)
 
     def stall(self) -> None:
         """Acknowledge nothing and pass nothing on, until `resume`."""
@@ -95,10 +65,20 @@ class FakeMqtt(MqttBus):
         self._far.plugged = True
         self.arrived()
 
+    def failed_now(self) -> None:
+        """Raise what is to fail now."""
+        self._failures.check()
+
+    def _is(self, item: Message, wanted: str) -> bool:
+        return item.topic == wanted
+
+    def _there(self) -> Iterable[Message]:
+        return reversed(self.sent)
+
     def came(self, message: Message) -> None:
         """Take a message of the robot, as the other clients do."""
         self.sent.append(message)
-        self._until.came(message)
+        self._awaited.came(message)
         for listener in tuple(self._on_message):
             listener(message)
 
@@ -110,7 +90,6 @@ class _Memory(MqttWire):
         self.plugged = True
         self.go = asyncio.Event()
         self.go.set()
-        self.failures = Failures()
         self.links: list[_Link] = []
 
     async def connect(
@@ -143,20 +122,16 @@ class _Memory(MqttWire):
                 link.deliver(message._replace(retained=False))
 
 
+@attrs.define(eq=False)
 class _Link:
-    def __init__(
-        self,
-        broker: _Memory,
-        heard: Callable[[Message], None],
-        gone: Callable[[BaseException], None],
-        will: Message | None,
-    ) -> None:
-        self._broker = broker
-        self._heard = heard
-        self.gone = gone
-        self._will = will
-        self._patterns: list[str] = []
-        self._loop = asyncio.get_running_loop()
+    _broker: _Memory
+    _heard: Callable[[Message], None]
+    gone: Callable[[BaseException], None]
+    _will: Message | None
+    _patterns: list[str] = attrs.field(factory=list, init=False)
+    _loop: asyncio.AbstractEventLoop = attrs.field(
+        factory=asyncio.get_running_loop, init=False
+    )
 
     def deliver(self, message: Message) -> None:
         if any(matches(each, message.topic) for each in self._patterns):
@@ -164,7 +139,7 @@ class _Link:
 
     async def publish(self, message: Message, timeout: float) -> None:
         await self._answered()
-        self._broker.failures.check()
+        self._broker.bus.failed_now()
         self._loop.call_soon(self._pass_on, message)
 
     async def subscribe(self, pattern: str, timeout: float) -> None:

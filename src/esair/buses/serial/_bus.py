@@ -13,15 +13,19 @@ from esair.buses._bus import Bus, Wire
 from esair.buses._exchanges import LATE_LIMIT, Exchange, Exchanges
 from esair.buses._inbox import Inbox, within
 from esair.buses.serial._line import Line, SerialLink
-from esair.buses.serial._place import SerialPlace
-from esair.buses.serial._port import Port, close_port, link_of, reach_port
+from esair.buses.serial._port import (
+    Port,
+    SerialPlace,
+    close_port,
+    link_of,
+    reach_port,
+)
 from esair.exceptions import (
     BusyError,
     ConfigError,
     DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
-    describe,
     did_you_mean,
     hint_for,
 )
@@ -61,20 +65,12 @@ def make_framing(owner: str, described: Framing | str | Mapping[str, Any]) -> Fr
     return made
 
 
-def resync_bytes(framing: Framing) -> bytes:
-    """Return what ends a message that was cut, where the framing has such a thing.
-
-    Without it the other end takes the next message for the rest of the one before.
-    """
-    return framing.delimiter if isinstance(framing, Lines | Cobs) else b""
-
-
 def _names() -> str:
     return "one of " + ", ".join(repr(name) for name in FRAMINGS)
 
 
-ASK_LIMIT = 32
-"""How many exchanges may wait for their turn on one line."""
+ECHO_LIMIT = 65536
+"""How many bytes may be on their way back as an echo."""
 
 _log = logging.getLogger("esair")
 
@@ -170,12 +166,16 @@ class SerialBus(Bus):
         self._bad_in_row = 0
         self._is_cut = False
         """Whether only the beginning of the message before was sent."""
-        self._exchanges = Exchanges(self, late_limit=late_limit, limit=ASK_LIMIT)
+        self._exchanges = Exchanges(self, late_limit=late_limit)
 
     @property
     def resync(self) -> bytes:
-        """What ends a message that was cut in half, if the framing has such a thing."""
-        return resync_bytes(self.framing)
+        """What ends a message that was cut in half, if the framing has such a thing.
+
+        Without it the other end takes the next message for the rest of the one before.
+        """
+        framing = self.framing
+        return framing.delimiter if isinstance(framing, Lines | Cobs) else b""
 
     @property
     def outlet(self) -> Outlet | None:
@@ -238,7 +238,7 @@ class SerialBus(Bus):
         line = self._connected()
         link = line.link
         if self._is_cut:
-            data = resync_bytes(self.framing) + data
+            data = self.resync + data
         if link.get_write_buffer_size() + len(data) > self.out_limit:
             self.stats.refused += 1
             raise BusyError(
@@ -247,6 +247,9 @@ class SerialBus(Bus):
         self._is_cut = False
         if self._echoes:
             self._echo += data
+            if len(self._echo) > ECHO_LIMIT:  # there is none
+                self._echo = b""
+                self.stats.bad_frames += 1
         if request is not None:
             request.begin()
         if not line.write(data):
@@ -292,12 +295,9 @@ class SerialBus(Bus):
         self._connected()
         seconds = self._seconds(timeout)
         kinds = prefix if isinstance(prefix, tuple) else (prefix,)
-        exchanges = self._exchanges
-        exchange = Exchange(exchanges, kinds, seconds, answers)
-        exchange.name = payload
-        if not exchanges.take(exchange):
-            await exchange.turn()
-        with exchange:
+        request = self._exchanges.request(*kinds, timeout=seconds, answers=answers)
+        request.name = payload
+        async with request as exchange:
             size = self._put(self.framing.encode(payload), exchange)
             if size:
                 await self._sent(size, exchange.left)
@@ -323,10 +323,14 @@ class SerialBus(Bus):
         self.stats.sent += size
 
     def _discard(self, line: Line, error: BaseException) -> None:
-        self.stats.discarded += line.link.get_write_buffer_size()
+        link = line.link
+        waiting = link.get_write_buffer_size()
         self._is_cut = self._is_cut or line.ends_in_a_message()
         line.settle(error)  # first: the link tells who waits then that all is sent
-        line.link.flush()
+        link.flush()
+        gone = waiting - link.get_write_buffer_size()
+        self.stats.discarded += gone
+        self._echo = self._echo[: max(0, len(self._echo) - gone)]
 
     def _connected(self) -> Line:
         if not self.is_open or self._line is None:
@@ -353,7 +357,6 @@ class SerialBus(Bus):
             far_end = await self._far_end(self._wire)
             port = functools.partial(self._open_port, line)
             line.link = await far_end.open(line, port)
-        line.link.set_write_buffer_limits(high=0)
         self._line = line
         await self._exchanges.silence()
 
@@ -446,9 +449,7 @@ class SerialBus(Bus):
     def _gone(self, line: Line, error: Exception | None) -> None:
         if line is not self._line:
             return
-        detail = describe(error) if error is not None else "the other end hung up"
-        loss = DeviceLostError(self.name, detail)
-        loss.__cause__ = error
+        loss = self.loss(error or ConnectionError("the other end hung up"))
         self._discard(line, loss)
         line.end()
         self._fail_all(loss)

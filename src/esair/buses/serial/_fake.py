@@ -1,21 +1,282 @@
-"""A serial line whose far end does what its test says."""
+"""The far ends of a serial line (a pseudo-terminal, memory), and the fake that has one."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import errno
+import os
+import pty
 import random
-from collections.abc import Callable, Mapping
+import termios
+import tty
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
 from typing import Any
+
+import attrs
 
 from esair.buses._bus import Bus, LateWire
 from esair.buses._exchanges import Exchange
-from esair.buses._failures import Failures
-from esair.buses._inbox import Awaited, Sent
+from esair.buses._fakes import Fake, os_error
 from esair.buses.serial._bus import SerialBus
-from esair.buses.serial._far_end import MemoryLine, PtyLine
+from esair.buses.serial._line import SerialLink, SerialWire
 from esair.exceptions import DeviceLostError
 from esair.framing import Framing
-from esair.loop import turn_of
+from esair.loop import ignore, turn_of
+
+
+class FarLine(SerialWire):
+    """What the far ends have in common.
+
+    Attributes:
+        heard: Called with the bytes that come from the robot.
+        lost: How many bytes were lost, because nobody took them.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.heard: Callable[[bytes], None] = ignore
+        self.lost: int = 0
+        self._loop = asyncio.get_running_loop()
+
+
+class PtyLine(FarLine):
+    """A serial line that is a pseudo-terminal, and can be unplugged.
+
+    Args:
+        path: Where the port appears, as a symbolic link, while it is plugged in; only
+            under the name that the kernel gives it if None.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        super().__init__()
+        self.path = path
+        self._master = -1
+        self._slave = -1
+
+    @property
+    def plugged(self) -> bool:
+        """Whether the port is there."""
+        return self._master >= 0
+
+    @property
+    def port(self) -> str:
+        """The device file of the port.
+
+        Raises:
+            DeviceLostError: It is not there.
+        """
+        if not self.plugged:
+            raise DeviceLostError(str(self.path or "pty"), "nothing is plugged in")
+        return os.ttyname(self._slave)
+
+    def plug(self) -> None:
+        """Let the port appear; nothing happens if it is there."""
+        if self.plugged:
+            return
+        # The far end keeps the robot's end open too: else the terminal is hung up
+        # whenever the robot is not there.
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        if self.path is not None:
+            self.path.unlink(missing_ok=True)
+            self.path.symlink_to(os.ttyname(self._slave))
+        self._loop.add_reader(self._master, self._readable)
+        self._tell_plugged()
+
+    async def open(
+        self,
+        protocol: asyncio.Protocol,
+        port: Callable[[str], Awaitable[SerialLink]] | None = None,
+    ) -> SerialLink:
+        """Open the robot's end, as any port is opened."""
+        if port is None:
+            raise DeviceLostError(self.port, "a terminal is opened by a bus")
+        path = self.port  # which is told only while it is plugged in
+        return await port(str(self.path or path))
+
+    def unplug(self) -> None:
+        """Let the port vanish, as a pulled cable does."""
+        if not self.plugged:
+            return
+        self._loop.remove_reader(self._master)
+        os.close(self._master)
+        os.close(self._slave)
+        self._master = self._slave = -1
+        if self.path is not None:
+            self.path.unlink(missing_ok=True)
+
+    def hang_up(self) -> None:
+        """End the connection; the port is there again at once."""
+        self.unplug()
+        self.plug()
+
+    def stall(self, after: int = 0) -> None:
+        """Take no byte more, as a device that holds CTS down; at once in any case."""
+        if self.plugged:
+            termios.tcflow(self._slave, termios.TCOOFF)
+
+    def resume(self) -> None:
+        """Take bytes again."""
+        if self.plugged:
+            termios.tcflow(self._slave, termios.TCOON)
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the robot; what does not fit is lost, as on a wire."""
+        if not self.plugged:
+            return
+        sent = 0
+        with contextlib.suppress(BlockingIOError):
+            sent = os.write(self._master, data)
+        self.lost += len(data) - sent
+
+    def hear_the_rest(self) -> None:
+        """Hear what the robot has sent and the loop has not come to yet."""
+        while self.plugged and self._readable():
+            pass
+
+    def _readable(self) -> bool:
+        with contextlib.suppress(BlockingIOError):
+            data = os.read(self._master, 4096)
+            if data:
+                self.heard(data)
+                return True
+        return False
+
+
+class MemoryLine(FarLine):
+    """A serial line in memory, with the same ends as a `PtyLine`."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self.name = name
+        self._link: _MemoryLink | None = None
+        self._plugged = False
+        self._room: int | None = None
+
+    @property
+    def plugged(self) -> bool:
+        """Whether the port is there."""
+        return self._plugged
+
+    def plug(self) -> None:
+        """Let the port appear; nothing happens if it is there."""
+        if not self._plugged:
+            self._plugged = True
+            self._tell_plugged()
+
+    def unplug(self) -> None:
+        """Let the port vanish, as a pulled cable does."""
+        self._plugged = False
+        self._break_off(os_error(errno.EIO))
+
+    def hang_up(self) -> None:
+        """End the connection; the port is there again at once."""
+        self._break_off(None)
+
+    def stall(self, after: int = 0) -> None:
+        """Take no byte more.
+
+        Args:
+            after: How many are taken before.
+        """
+        self._room = after
+
+    def resume(self) -> None:
+        """Take bytes again, first those that wait."""
+        self._room = None
+        if self._link is not None:
+            self._link.drain()
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the robot; they are lost if nobody is there."""
+        if self._link is None or self._link.is_closing():
+            self.lost += len(data)
+        else:
+            self._loop.call_soon(self._link.deliver, data)
+
+    async def open(
+        self,
+        protocol: asyncio.Protocol,
+        port: Callable[[str], Awaitable[SerialLink]] | None = None,
+    ) -> SerialLink:
+        """Open the robot's end."""
+        if not self._plugged:
+            raise DeviceLostError(self.name, "nothing is plugged in")
+        if self._link is not None and not self._link.is_closing():
+            raise DeviceLostError(self.name, "somebody else has the line")
+        self._link = _MemoryLink(self._loop, protocol, self._take)
+        return self._link
+
+    def _break_off(self, error: OSError | None) -> None:
+        link, self._link = self._link, None
+        if link is not None:
+            link.break_off(error)
+
+    def _take(self, data: bytes) -> int:
+        """Take bytes from the robot as far as there is room; return how many."""
+        taken = data
+        if self._room is not None:
+            taken = data[: self._room]
+            self._room -= len(taken)
+        if taken:
+            self._loop.call_soon(self._obey, taken)
+        return len(taken)
+
+    def _obey(self, data: bytes) -> None:
+        if self._plugged:
+            self.heard(data)
+
+
+@attrs.define(eq=False)
+class _MemoryLink:
+    """The robot's end of a line in memory."""
+
+    _loop: asyncio.AbstractEventLoop
+    _protocol: asyncio.Protocol | None
+    _far_end: Callable[[bytes], int]
+    _waiting: bytes = b""
+    _broken: bool = False
+
+    def write(self, data: bytes) -> None:
+        if self._protocol is None:
+            return
+        if not self._waiting and not self._broken:
+            data = data[self._far_end(data) :]
+        self._waiting += data
+
+    def drain(self) -> None:
+        """Send what waits, as far as there is room now."""
+        if self._protocol is None or self._broken or not self._waiting:
+            return
+        self._waiting = self._waiting[self._far_end(self._waiting) :]
+        if not self._waiting:
+            self._loop.call_soon(self._protocol.resume_writing)
+
+    def get_write_buffer_size(self) -> int:
+        return len(self._waiting)
+
+    def flush(self) -> None:
+        self._waiting = b""
+
+    def is_closing(self) -> bool:
+        return self._protocol is None
+
+    def abort(self) -> None:
+        self._protocol = None
+        self._waiting = b""
+
+    def deliver(self, data: bytes) -> None:
+        if self._protocol is not None:
+            self._protocol.data_received(data)
+
+    def break_off(self, error: OSError | None) -> None:
+        self._broken = True
+        if self._protocol is not None:
+            self._loop.call_soon(self._protocol.connection_lost, error)
+
 
 SENT_LIMIT = 1024
 """How many messages of the robot are kept; then the newest win."""
@@ -31,11 +292,15 @@ XOFF, XON = b"\x13", b"\x11"
 Reply = Callable[[bytes], bytes | None]
 
 
-class FakeSerial(SerialBus):
+class FakeSerial(Fake[bytes, bytes], SerialBus):
     """A `SerialBus` with nothing real on it: the test is the device.
 
     On a virtual clock the line is in memory. On a real clock it is a pseudo-terminal,
     opened as any port is, so that descriptors, threads and the kernel take part.
+
+    ``until(wanted, timeout=1.0)`` waits for a message of the robot and returns it, the
+    oldest in ``sent`` that is meant; ``fail(error, after=0, times=1)`` raises an error
+    from a write, and an `OSError` is the end of the line, too.
 
     It can be told everything before it is opened, and it is the same line after it was
     closed, unplugged or hung up; only what waits on it is lost then.
@@ -47,7 +312,7 @@ class FakeSerial(SerialBus):
 
     Attributes:
         sent: The messages that the robot sent, without their framing, oldest first;
-            the newest 1024. They are there a moment after ``send`` has returned: `until`
+            the newest 1024. They are there a moment after ``send`` has returned: ``until``
             waits for that.
         written: The same as the bytes that went over the wire; the newest 65536.
         on_write: Called with the bytes that the robot wrote, as they come; what it
@@ -76,25 +341,23 @@ class FakeSerial(SerialBus):
         super().__init__(
             name=name, framing=framing, wire=LateWire(self._reach), **options
         )
-        self.sent: Sent[bytes] = Sent(maxlen=SENT_LIMIT)
+        self._begin(SENT_LIMIT)
         self.written: bytes = b""
         self.on_write: Reply | None = None
         self.on_frame: Reply | None = None
         self.lost_bytes: int = 0
         self._plugged = True
         self._stalled = False
-        self._room: int | None = None
+        self._room = 0
         self._far: MemoryLine | PtyLine | None = None
         self._far_framing = self.framing.fresh()
         self._answers: dict[bytes, bytes | Reply] = {}
-        self._until: Awaited[bytes] = Awaited()
         self._piece = 0
         self._speed = 0.0
         self._outgoing = bytearray()
         self._pushing: asyncio.TimerHandle | None = None
         self._repeated: list[tuple[Callable[[], bytes], float]] = []
         self._repeating: list[asyncio.TimerHandle] = []
-        self._failures = Failures()
 
     # From the device to the robot.
 
@@ -147,30 +410,6 @@ class FakeSerial(SerialBus):
         """
         self._answers[request] = reply
 
-    async def until(
-        self, wanted: bytes | Callable[[bytes], bool], *, timeout: float = 1.0
-    ) -> bytes:
-        """Wait until the robot has sent a message, and return it.
-
-        What is in ``sent`` already counts; clear it to wait for a new one.
-
-        Args:
-            wanted: A message without its framing, or a condition on it.
-            timeout: How long to wait, in seconds.
-
-        Raises:
-            TimeoutError: It did not come; the last messages are in the error.
-        """
-        return await self._until.until(
-            wanted if callable(wanted) else lambda message: message == wanted,
-            self.sent,
-            timeout,
-            lambda: (
-                f"{self.name}: {wanted!r} was not sent in {timeout:g} s; "
-                f"the last messages are {self.sent[-5:]!r}"
-            ),
-        )
-
     # What goes wrong.
 
     def unplug(self) -> None:
@@ -202,7 +441,8 @@ class FakeSerial(SerialBus):
         """
         self._stalled = True
         self._room = after
-        self._stall_wire()
+        if self._far is not None:
+            self._far.stall(after)
 
     def resume(self) -> None:
         """Take and give again, also what waited."""
@@ -213,29 +453,17 @@ class FakeSerial(SerialBus):
 
     def xoff(self) -> None:
         """Send XOFF: the robot may write no more, if its port heeds XON and XOFF."""
-        if isinstance(self._far, MemoryLine) and self._options.get("xonxoff"):
-            self._far.stall()
-        elif self._far is not None:
-            self._far.write(XOFF)
+        self._heed(XOFF, MemoryLine.stall)
 
     def xon(self) -> None:
         """Send XON: the robot may write again."""
+        self._heed(XON, MemoryLine.resume)
+
+    def _heed(self, byte: bytes, act: Callable[[MemoryLine], object]) -> None:
         if isinstance(self._far, MemoryLine) and self._options.get("xonxoff"):
-            self._far.resume()
+            act(self._far)
         elif self._far is not None:
-            self._far.write(XON)
-
-    def fail(
-        self, error: BaseException, *, after: int = 0, times: int | None = 1
-    ) -> None:
-        """Raise an error from a write; an `OSError` is the end of the line, too.
-
-        Args:
-            error: What the kernel, or pyserial, says.
-            after: How many writes go well before.
-            times: How many writes fail; None for all from then on.
-        """
-        self._failures.add(error, after, times)
+            self._far.write(byte)
 
     # The bus, as the robot uses it.
 
@@ -274,7 +502,8 @@ class FakeSerial(SerialBus):
             self._far = MemoryLine(self.name) if virtual else PtyLine()
             self._far.heard = self._heard
             self._far.plug()
-        self._stall_wire()
+        if self._stalled:
+            self._far.stall(self._room)
         return self._far
 
     def _drop_wire(self) -> None:
@@ -282,14 +511,6 @@ class FakeSerial(SerialBus):
         if wire is not None:
             wire.unplug()
             self.lost_bytes += wire.lost
-
-    def _stall_wire(self) -> None:
-        if not self._stalled or self._far is None:
-            return
-        if isinstance(self._far, MemoryLine):
-            self._far.stall(self._room or 0)
-        else:
-            self._far.stall()
 
     def _heard(self, data: bytes) -> None:
         self.written = (self.written + data)[-WRITTEN_LIMIT:]
@@ -301,7 +522,7 @@ class FakeSerial(SerialBus):
             payload = reply(message) if callable(reply) else reply
             if payload is not None:
                 self.say(payload)
-            self._until.came(message)
+            self._awaited.came(message)
 
     def _push(self) -> None:
         """Send what waits: at once, or piece by piece."""

@@ -20,11 +20,6 @@ class SerialLink(Protocol):
     def get_write_buffer_size(self) -> int:
         """Return how many bytes the line has not taken yet."""
 
-    def set_write_buffer_limits(
-        self, high: int | None = None, low: int | None = None
-    ) -> None:
-        """Say above and below how many bytes the protocol is told."""
-
     def flush(self) -> None:
         """Throw the bytes away that the line has not taken yet."""
 

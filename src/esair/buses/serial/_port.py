@@ -1,24 +1,31 @@
-"""The ports of serial lines. The only module that knows pyserial and pyserial-asyncio."""
+"""The port of a serial line: where it is, who has it, how it is opened.
+
+The only module that knows pyserial and pyserial-asyncio; both are imported when a port is
+opened. All but `ThreadLink` and `link_of` blocks.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import fcntl
 import functools
 import math
 import os
+import re
 import select
 import stat
 import termios
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
+from pathlib import Path
 from typing import Any
 
 from esair.buses._opening import open_on, shut_on
+from esair.buses.finding import parse_identity
+from esair.buses.serial import _ports
 from esair.buses.serial._line import SerialLink
-from esair.buses.serial._owner import explain
-from esair.buses.serial._place import SerialPlace
 from esair.exceptions import (
     ConfigError,
     DeviceLostError,
@@ -26,6 +33,135 @@ from esair.exceptions import (
     describe,
 )
 from esair.loop import Executor, spawn
+
+_NUMBERED = re.compile(r"/dev/tty(USB|ACM)\d+\Z")
+
+
+class SerialPlace:
+    """Where a port is to be found: a device file, a USB device, or a URL of pyserial.
+
+    Args:
+        owner: The name of the bus, for errors.
+        port: ``/dev/ttyUSB0``, ``usb:VID:PID[:SERIAL]`` or ``loop://``.
+
+    Raises:
+        ConfigError: It is none of them.
+    """
+
+    def __init__(self, owner: str, port: str) -> None:
+        if not isinstance(port, str) or not port:
+            raise ConfigError(
+                owner,
+                "port",
+                "expected the path of a device file, usb:VID:PID[:SERIAL], or a URL "
+                f"such as loop://, not {port!r:.80}",
+            )
+        self.is_usb: bool = port.startswith("usb:")
+        if self.is_usb:
+            parse_identity(port, component=owner, field="port")
+        self.owner = owner
+        self.port = port
+        self.is_url: bool = "://" in port
+
+    def find(self) -> str:
+        """Return the path, or the URL, to open. Blocks.
+
+        Raises:
+            ConnectionError: The USB device is not there.
+        """
+        if not self.is_usb:
+            return self.port
+        return _ports.find_port(self.port)
+
+    def look(self) -> Hashable | None:
+        """Return what is at the place now; None if nothing is. Blocks.
+
+        Another value means that something was plugged in since.
+        """
+        try:
+            path = self.find()
+            found = os.stat(path)
+        except OSError:
+            return None
+        return path, found.st_rdev, found.st_ino, found.st_ctime_ns
+
+    def check(self, path: str, fd: int) -> None:
+        """Make sure that an open descriptor is of the device that is meant. Blocks.
+
+        Raises:
+            ConnectionError: Another device was plugged in while it was opened.
+        """
+        if not self.is_usb:
+            return
+        try:
+            # Not its path: udev may have made a better name for it meanwhile.
+            same = os.stat(self.find()).st_rdev == os.fstat(fd).st_rdev
+        except OSError:
+            same = False
+        if not same:
+            raise ConnectionError(f"{path} is no longer {self.port}")
+
+    def advice(self, path: str) -> str:
+        """Say how to name a port whose number is chance; empty if it is none. Blocks."""
+        if self.is_usb or not _NUMBERED.match(path):
+            return ""
+        identity = _ports.serial_identity(path)
+        better = f"now it is {identity!r}" if identity else "see /dev/serial/by-path"
+        return f"{path} is another device after the next start, perhaps: {better}"
+
+
+_TAKEN = frozenset({errno.EAGAIN, errno.EBUSY})
+"""What the kernel says about a port that somebody else has."""
+
+
+def explain(path: str, error: BaseException) -> str:
+    """Say why a port cannot be opened, and whose it is if somebody has it."""
+    code = getattr(error, "errno", None)
+    if code in _TAKEN:
+        return f"{path} belongs to {_owner(path)}: a port has one user"
+    if code == errno.EACCES:
+        with contextlib.suppress(OSError, KeyError):
+            return f"{path} may be opened by the group {Path(path).group()!r} only"
+    why = os.strerror(code) if isinstance(code, int) else describe(error)
+    return f"{path} cannot be opened: {why}"
+
+
+def _owner(path: str) -> str:
+    """Name the process that has a port open, as far as this user may know."""
+    try:
+        pid = _lock_holder(wanted := os.stat(path)) or _opener(wanted)
+    except OSError:
+        return "somebody else"
+    if pid is None:
+        return "another process"
+    if pid == os.getpid():
+        return f"this process ({pid}) already"
+    with contextlib.suppress(OSError):
+        return f"process {pid} ({Path(f'/proc/{pid}/comm').read_text().strip()})"
+    return f"process {pid}"
+
+
+def _lock_holder(wanted: os.stat_result) -> int | None:
+    node = (
+        f"{os.major(wanted.st_dev):02x}:{os.minor(wanted.st_dev):02x}:{wanted.st_ino}"
+    )
+    # A line: number, FLOCK, ADVISORY, WRITE, pid, device and inode, 0, EOF.
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/locks").read_text().splitlines():
+            fields = line.split()
+            if fields[1] == "FLOCK" and fields[5] == node and int(fields[4]) > 0:
+                return int(fields[4])
+    return None
+
+
+def _opener(wanted: os.stat_result) -> int | None:
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        with contextlib.suppress(OSError):  # another user's, or closed meanwhile
+            found = link.stat()
+            if found.st_rdev == wanted.st_rdev and stat.S_ISCHR(found.st_mode):
+                return int(link.parts[2])
+    return None
+
 
 READ_PERIOD = 0.1
 """How long a thread waits for bytes before it looks whether it is needed, in s."""
@@ -72,11 +208,6 @@ class ThreadLink:
     def get_write_buffer_size(self) -> int:
         """Return how many bytes the line has not taken yet."""
         return len(self._buffer) + self._in_flight
-
-    def set_write_buffer_limits(
-        self, high: int | None = None, low: int | None = None
-    ) -> None:
-        """Need no limits: the protocol is told when everything is sent."""
 
     def flush(self) -> None:
         """Throw the bytes away that are not being written."""
@@ -161,7 +292,9 @@ class Port:
         self.device = device
         self.path = path
         self.failed: Callable[[Exception | None], None] = lambda _error: None
-        self._fd = _descriptor(device)
+        self._fd = -1
+        with contextlib.suppress(OSError, AttributeError):  # loop://, rfc2217://
+            self._fd = int(device.fileno())
         self._is_terminal = self._fd >= 0 and os.isatty(self._fd)
         self._open = True
         if self._is_terminal:  # beside the lock, for programs that look for none
@@ -248,10 +381,21 @@ def open_port(
     levels: Mapping[str, bool],
 ) -> Port:
     """Open a port, exclusively. Blocks."""
+    import serial
+
     path = place.port
     try:
         path = place.find()
-        port = Port(_open_device(place, path, baudrate, options, levels), path)
+        own: dict[str, Any] = {"timeout": READ_PERIOD}
+        if not place.is_url:
+            own = {"timeout": 0, "write_timeout": 0, "exclusive": True}
+        device: Any = serial.serial_for_url(
+            path, baudrate, do_not_open=True, **own, **options
+        )
+        for name, level in levels.items():
+            setattr(device, name, level)
+        device.open()
+        port = Port(device, path)
         try:
             if port.has_descriptor:
                 place.check(path, port.fileno())
@@ -266,25 +410,6 @@ def open_port(
     except (ValueError, TypeError, LookupError) as error:  # its own word for no
         raise ConfigError(place.owner, "port", f"{path}: {error}") from error
     return port
-
-
-def _open_device(
-    place: SerialPlace,
-    path: str,
-    baudrate: int,
-    options: Mapping[str, Any],
-    levels: Mapping[str, bool],
-) -> Any:
-    import serial
-
-    own: dict[str, Any] = {"timeout": READ_PERIOD}
-    if not place.is_url:
-        own = {"timeout": 0, "write_timeout": 0, "exclusive": True}
-    device = serial.serial_for_url(path, baudrate, do_not_open=True, **own, **options)
-    for name, level in levels.items():
-        setattr(device, name, level)
-    device.open()
-    return device
 
 
 async def reach_port(
@@ -314,8 +439,10 @@ def link_of(port: Port, protocol: asyncio.Protocol, name: str) -> SerialLink:
     port.failed = protocol.connection_lost
     loop = asyncio.get_running_loop()
     if port.has_descriptor:
-        link: SerialLink = _transport_class()(loop, protocol, port)
-        return link
+        link = _transport_class()(loop, protocol, port)
+        link.set_write_buffer_limits(high=0)
+        told: SerialLink = link
+        return told
     return ThreadLink(loop, protocol, port.device, name=name)
 
 
@@ -338,10 +465,3 @@ def _transport_class() -> Any:
                 super().write(data)
 
     return DirectTransport
-
-
-def _descriptor(device: Any) -> int:
-    try:
-        return int(device.fileno())
-    except (OSError, AttributeError):  # loop://, rfc2217://
-        return -1

@@ -3,16 +3,9 @@
 Only ``_kernel.py`` knows spidev, and imports it when a bus is opened.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
-from esair.loading import late
-
-if TYPE_CHECKING:
-    from esair.buses.spi._bus import SpiBus
-    from esair.buses.spi._fake import Exchange, FakeSpi, SpiChip, SpiChips, SpiRegisters
-    from esair.buses.spi._kernel import SpiLink, devices, toml
+from esair.buses.spi._bus import SpiBus
+from esair.buses.spi._fake import Exchange, FakeSpi, SpiChip, SpiChips, SpiRegisters
+from esair.buses.spi._kernel import SpiLink, devices, toml
 
 __all__ = [
     "Exchange",
@@ -25,12 +18,3 @@ __all__ = [
     "devices",
     "toml",
 ]
-
-__getattr__, __dir__ = late(
-    __name__,
-    {
-        "_fake": "Exchange FakeSpi SpiChip SpiChips SpiRegisters",
-        "_bus": "SpiBus",
-        "_kernel": "SpiLink devices toml",
-    },
-)

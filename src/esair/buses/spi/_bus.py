@@ -10,10 +10,9 @@ from esair.buses._link_bus import LinkBus
 from esair.buses.spi import _kernel as kernel
 from esair.buses.spi._kernel import LIMIT, SpiLink
 from esair.exceptions import (
-    BadValueError,
     DeviceFaultError,
 )
-from esair.values import check_bytes, check_whole, is_whole
+from esair.values import check_bytes, check_whole
 
 T = TypeVar("T")
 
@@ -85,14 +84,13 @@ class SpiBus(LinkBus[SpiLink]):
         hertz = self.speed if speed is None else speed
         phase = self.mode if mode is None else mode
         data = check_bytes(self.name, "data", data)
-        self._check(chip, len(data), hertz, phase)
-
-        def make(link: SpiLink) -> bytes:
-            back = link.exchange(chip, data, hertz, phase)
-            self.stats.sent += 1
-            return back
-
-        return await self._turn(make, chip, timeout)
+        self._check_whole("chip", chip, 0, 255)
+        self._check_whole("data", len(data), 1, LIMIT, " bytes")
+        self._check_whole("speed", hertz, 1, 2**32, " Hz")
+        self._check_whole("mode", phase, 0, 3)
+        return await self._turn(
+            lambda link: link.exchange(chip, data, hertz, phase), chip, timeout
+        )
 
     async def transfer(
         self,
@@ -112,19 +110,13 @@ class SpiBus(LinkBus[SpiLink]):
             The bytes that were read.
         """
         write = check_bytes(self.name, "write", write)
-        if not is_whole(read, 0, LIMIT):
-            told = f"expected 0 to {LIMIT} bytes, not {read!r:.80}"
-            raise BadValueError(self.name, "read", told)
+        self._check_whole("read", read, 0, LIMIT, " bytes")
         back = await self.exchange(
             chip, write + bytes(read), speed=speed, mode=mode, timeout=timeout
         )
         if len(back) != len(write) + read:
-            raise self.failed(
-                DeviceFaultError(
-                    self.name,
-                    f"chip {chip} sent {len(back)} bytes instead of {len(write) + read}",
-                )
-            )
+            told = f"chip {chip} sent {len(back)} bytes instead of {len(write) + read}"
+            raise self.failed(DeviceFaultError(self.name, told))
         self.stats.received += bool(read)
         return back[len(write) :]
 
@@ -137,36 +129,15 @@ class SpiBus(LinkBus[SpiLink]):
     ) -> T:
         """Make several transfers with nothing of anybody else in between.
 
+        Errors are those of `exchange`.
+
         Args:
             transfer: Gets the `SpiLink` and may block. What it returns is the result.
                 It is called on the bus's thread.
             chip: The chip select, for error messages.
             timeout: How long to wait, in seconds; the bus's ``timeout`` if None.
-
-        Raises:
-            BusyError: Too many transfers wait.
-            DeviceFaultError: A transfer failed.
-            DeviceLostError: The bus itself is gone.
-            DriverStuckError: It took too long, or the bus is stuck.
         """
-
-        def make(link: SpiLink) -> T:
-            result = transfer(link)
-            self.stats.sent += 1
-            return result
-
-        return await self._turn(make, chip, timeout)
-
-    def _check(self, chip: int, length: int, speed: int, mode: int) -> None:
-        for field, value, least, most, what in (
-            ("chip", chip, 0, 255, ""),
-            ("data", length, 1, LIMIT, " bytes"),
-            ("speed", speed, 1, 2**32, " Hz"),
-            ("mode", mode, 0, 3, ""),
-        ):
-            if not is_whole(value, least, most):
-                told = f"expected {least} to {most}{what}, not {value!r:.80}"
-                raise BadValueError(self.name, field, told)
+        return await self._turn(transfer, chip, timeout)
 
     def seconds_for(self, traffic: int) -> float:
         """Return how long so many bytes take."""

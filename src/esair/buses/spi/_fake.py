@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import errno
-from collections.abc import Mapping
 from typing import Protocol
 
 import attrs
 
-from esair.buses._failures import os_error
-from esair.buses._played import PlayedBus, PlayedWire
+from esair.buses._fakes import ChipsWire, PlayedBus
 from esair.buses.i2c import Registers
 from esair.buses.spi._bus import SpiBus
 from esair.buses.spi._kernel import SpiLink
@@ -43,28 +40,6 @@ class SpiRegisters(Registers):
         return b"\xff" + self.read(register, len(rest))
 
 
-class SpiChips(PlayedWire):
-    """An SPI bus in memory.
-
-    Args:
-        chips: The chips by their chip selects. One without a chip reads as 0xFF.
-    """
-
-    def __init__(self, chips: dict[int, SpiChip]) -> None:
-        super().__init__(chips)
-
-    def exchange(self, chip: int, data: bytes, speed: int, mode: int) -> bytes:
-        """Make a transfer."""
-        self.hold()
-        if not self.plugged:
-            raise os_error(errno.ENODEV)
-        self.fail_if_told(chip)
-        if chip not in self.chips or not self.powered:
-            return b"\xff" * len(data)
-        back: bytes = self.chips[chip].exchange(data)
-        return back
-
-
 @attrs.frozen
 class Exchange:
     """One transfer.
@@ -84,14 +59,25 @@ class Exchange:
     mode: int
 
 
-class _Logged(SpiChips):
+class SpiChips(ChipsWire):
+    """An SPI bus in memory.
+
+    Args:
+        chips: The chips by their chip selects. One without a chip reads as 0xFF.
+    """
+
     def exchange(self, chip: int, data: bytes, speed: int, mode: int) -> bytes:
-        back = super().exchange(chip, data, speed, mode)
+        """Make a transfer."""
+        self.hold()
+        self.check(chip)
+        back = b"\xff" * len(data)
+        if chip in self.chips and self.powered:
+            back = self.chips[chip].exchange(data)
         self.log.append(Exchange(chip, data, back, speed, mode))
         return back
 
 
-class FakeSpi(PlayedBus[SpiLink], SpiBus):
+class FakeSpi(PlayedBus[SpiLink, SpiChip, Exchange], SpiBus):
     r"""An SPI bus with chips in memory that does what its test tells it.
 
     Args:
@@ -105,23 +91,6 @@ class FakeSpi(PlayedBus[SpiLink], SpiBus):
         >>> bus.stretch(0.01)
     """
 
-    link: _Logged
-
-    def __init__(
-        self,
-        name: str = "spi",
-        chips: Mapping[int, SpiChip | bytes | Mapping[int, int | bytes]] | None = None,
-        *,
-        timeout: float = 0.2,
-    ) -> None:
-        super().__init__(name, _Logged, SpiRegisters, chips, timeout=timeout)
-
-    @property
-    def chips(self) -> dict[int, SpiChip]:
-        """The chips on the bus; put in and take out at any time."""
-        return self.link.chips
-
-    @property
-    def log(self) -> list[Exchange]:
-        """The newest transfers, the oldest of them first."""
-        return list(self.link.log)
+    _wire_of = SpiChips
+    _registers = SpiRegisters
+    _medium = "spi"
