@@ -195,6 +195,7 @@ class BehaviorSupervisor(abc.Supervisor):
 
         async def work() -> None:
             await self._deployment.gone(name)
+            await self._deployment.turns.left()
             plan = self._deployment.resources.plan
             if found := examine_action(plan, action):
                 refuse_all(found, action)
@@ -300,6 +301,7 @@ class BehaviorSupervisor(abc.Supervisor):
                     # Until then the old one decides: nothing moves unwatched.
                     self._commands.changed()
                     await asyncio.wait({new.sight.decided()}, timeout=TAKE_OVER)
+                await self._deployment.turns.left()
                 old = self._deployment.member(name)  # it may be another one by now
                 if old.mail.is_leaving or self._deployment.turns.rests(name):
                     raise BehaviorRemovedError(name)

@@ -274,8 +274,11 @@ class Member:
     async def _live(self, behavior: Behavior) -> BaseException | None:
         """Run one incarnation; returns its error, so that nothing escapes a task."""
         error: BaseException | None = None
+        owner = self.mail.owner
         try:
             await self._run(behavior.setup)
+            if owner.over or self.given_up:  # what it has not heard
+                raise asyncio.CancelledError
             if self.gate is not None:
                 self._is_ready()
                 await self.gate

@@ -51,6 +51,8 @@ class Turns:
         self._entering: list[Member] = []  # those that it sets up
         self._under_way: asyncio.Future[None] | None = None
         """Done when a switch has come to its end, one way or the other."""
+        self._leave: asyncio.Future[None] | None = None
+        """Done when those have ended whose turn is over, and what they moved is safe."""
         self._following: asyncio.Task[None] | None = None
 
     def rests(self, name: str) -> bool:
@@ -74,6 +76,12 @@ class Turns:
         member = self._crew.member(name)
         if self.rests(name) or (member.gate is not None and not member.gate.done()):
             raise RefusedError(f"{self._why(member)}: switch to its mode", name)
+
+    async def left(self) -> None:
+        """Wait until those have ended whose turn is over: then others may begin."""
+        while self._leave is not None and not self._leave.done():
+            self._crew.commands.changed()
+            await asyncio.wait({self._leave})
 
     async def switch(self, mode: str, reason: str) -> None:
         """Go to a mode; see `BehaviorSupervisor.switch`."""
@@ -175,7 +183,11 @@ class Turns:
             await crew.rested(*left)
             raise
         crew.commands.no_return()
-        await self._take_turns(mode, entering, reason)
+        self._leave = loop.create_future()
+        try:
+            await self._take_turns(mode, entering, reason)
+        finally:
+            wake(self._leave)
 
     def _enters(self, member: Member, mode: str) -> bool:
         return self.rests(member.name) and self.modes.runs(member.name, mode)
@@ -195,7 +207,10 @@ class Turns:
         crew.journal.publish(Kind.MODE, mode, "", before, reason)
         why = f": {printable(reason)}" if reason else ""
         _log.info("mode %s, after %s%s", mode, before, why)
+        removed = [each.over for each in crew.ending if each.over is not None]
         await crew.rested(*leaving)
+        if removed:  # the user is just taking them away: they end before, too
+            await asyncio.wait(removed)
         for member in leaving:
             if member.mail.state is BehaviorState.RESTING:
                 member.sight.rest()
