@@ -256,6 +256,24 @@ async def test_who_is_just_removed_ends_before_the_new_ones_begin() -> None:
 
 
 @pytest.mark.promise("MODE-2")
+async def test_who_is_just_removed_is_not_set_up_for_a_mode() -> None:
+    """Its setup swallows its end, and a switch comes meanwhile: it goes without it."""
+    story: list[str] = []
+    near = Mover("near", 2.5, sets_up=0.3, deaf=0.1, story=story)
+    modes = {**TWO, "dock": ["dock", "near"]}
+    robot, _ = make(Mover("wander", 1.0), Mover("dock", 2.0), near, modes=modes)
+    async with robot:
+        first = asyncio.create_task(robot.behaviors.switch("dock"))
+        await asyncio.sleep(0.1)
+        removing = asyncio.create_task(robot.behaviors.remove("near"))
+        await asyncio.gather(first, return_exceptions=True)
+        async with asyncio.timeout(1.0):
+            await robot.behaviors.switch("dock")
+        await removing
+    assert story == ["near sets up"]
+
+
+@pytest.mark.promise("MODE-2")
 @pytest.mark.parametrize("verb", ["switch", "restart", "remove"])
 async def test_a_setup_that_swallows_its_end_is_not_followed_by_a_run(
     verb: str,

@@ -277,7 +277,7 @@ class Member:
         owner = self.mail.owner
         try:
             await self._run(behavior.setup)
-            if owner.over or self.given_up:  # what it has not heard
+            if owner.over or self.given_up:  # its end came, and it went on
                 raise asyncio.CancelledError
             if self.gate is not None:
                 self._is_ready()

@@ -190,7 +190,9 @@ class Turns:
             wake(self._leave)
 
     def _enters(self, member: Member, mode: str) -> bool:
-        return self.rests(member.name) and self.modes.runs(member.name, mode)
+        """Tell whether a member begins in a mode; one that is just removed does not."""
+        begins = self.rests(member.name) and self.modes.runs(member.name, mode)
+        return begins and not member.mail.is_leaving
 
     async def _take_turns(self, mode: str, set_up: list[Member], reason: str) -> None:
         """End the old ones, and let the new ones begin."""
