@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from esair.recording import size_of
-from esair.seat._short import TEXT, short
+from esair.seat._values import TEXT, short
 from esair.seat.screen import event_line, picture
 
 

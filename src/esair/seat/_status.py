@@ -14,7 +14,7 @@ from esair.loop import clock_of
 from esair.messages import ResourceState, Why
 from esair.recording import plain
 from esair.resources import HIDDEN, Resource, operations_of, settings_of
-from esair.seat._short import numbers_of, short
+from esair.seat._values import numbers_of, short
 
 if TYPE_CHECKING:
     import asyncio
