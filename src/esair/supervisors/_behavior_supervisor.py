@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from esair import abc, minimal
 from esair.actions import Behavior, Reaction, Request, adapt_action
-from esair.exceptions import BehaviorRemovedError
+from esair.exceptions import BehaviorFailedError, BehaviorRemovedError
 from esair.journal import Kind
 from esair.loop import VERB_COST, Budget
 from esair.messages import BehaviorState, BehaviorStatus, Modes, SupervisorPhase
@@ -355,7 +355,8 @@ class BehaviorSupervisor(abc.Supervisor):
         Raises:
             UnknownNameError: No behavior has the name.
             RefusedError: It rests in this mode.
-            BehaviorFailedError: Its ``setup`` did not end in time.
+            BehaviorFailedError: Its ``setup`` failed, which is a crash like another, or did
+                not end in time.
             BehaviorRemovedError: It was removed meanwhile.
             StoppingError: The robot is not running.
         """
@@ -367,7 +368,12 @@ class BehaviorSupervisor(abc.Supervisor):
             ending = member.end_run(self._deployment.grace)
             self._commands.changed()
             await ending
-            await self._deployment.begin(member)
+            try:
+                await self._deployment.begin(member)
+            except BehaviorFailedError:
+                if member.mail.state is BehaviorState.FAILED and member.mail.error:
+                    member.begin_again(member.mail.error)
+                raise
 
         await self._commands.run(work, name=f"restart {name}", undo=False)
 

@@ -378,6 +378,10 @@ class Member:
             _log.info("%s: parked: %s", self.name, self.detail)
             self.crew.mediator.peer_failed(self.mail, error)
             return
+        self.begin_again(error)
+
+    def begin_again(self, error: BaseException) -> None:
+        """Begin anew after a crash, when its budget says so; else it has failed."""
         loop = asyncio.get_running_loop()
         pause = self.life.pause_after(error, loop.time())
         if pause is None:
