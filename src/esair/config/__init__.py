@@ -18,6 +18,7 @@ from esair.config._load import (
     build,
     check,
     check_together,
+    has_simulation,
     load,
     load_robot,
 )
@@ -41,6 +42,7 @@ __all__ = [
     "fields_of",
     "find_module",
     "find_robot",
+    "has_simulation",
     "is_imported",
     "is_of_module",
     "keywords_of",

@@ -250,11 +250,7 @@ def check(path: str | os.PathLike[str], *, robot_class: type = Robot) -> Report:
     source = read_source(path)
     real = make_draft(source, simulated=False, robot_class=robot_class)
     found = _found(real, robot_class)
-    with_simulation = any(
-        isinstance(table, dict) and "sim" in table
-        for kind in ("bus", "sensor", "actuator")
-        for table in _tables(source.data.get(kind))
-    )
+    with_simulation = has_simulation(source.data)
     if with_simulation:
         simulated = make_draft(
             read_source(path), simulated=True, robot_class=robot_class
@@ -287,8 +283,11 @@ def _of_module(target: str) -> Report:
     return Report(target, "", tuple(found), table, False, failures(plan))
 
 
-def _tables(holder: object) -> list[object]:
-    return list(holder.values()) if isinstance(holder, dict) else []
+def has_simulation(tables: Mapping[str, Any]) -> bool:
+    """Tell whether a file says what stands for some part of it in a simulation."""
+    kinds = (tables.get(each) for each in ("bus", "sensor", "actuator"))
+    parts = (part for kind in kinds if isinstance(kind, dict) for part in kind.values())
+    return any(isinstance(part, dict) and "sim" in part for part in parts)
 
 
 def _found(draft: Draft, robot_class: type) -> list[FoundInFile]:

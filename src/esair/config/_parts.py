@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -45,10 +45,7 @@ def make_draft(source: Source, *, simulated: bool, robot_class: type) -> Draft:
         elif not isinstance(value, dict):
             source.wrong(name, "a table", value)
             del source.data[name]
-    add_boards(
-        source,
-        lambda other: make_draft(other, simulated=False, robot_class=robot_class),
-    )
+    _add_boards(source, robot_class)
     draft.robot = _read_robot(source, robot_class)
     draft.peers = peers = read_peers(source)
     ros = read_ros(source)
@@ -212,7 +209,7 @@ class _Board:
 _DRIVERS: Final = "esair.drivers.board"
 
 
-def add_boards(source: Source, make: Callable[[Source], Draft]) -> None:
+def _add_boards(source: Source, robot_class: type) -> None:
     """Write the tables that the boards of a file stand for.
 
     A board has a bus and a sensor (how it is) of its own name, and its sensors and
@@ -225,22 +222,17 @@ def add_boards(source: Source, make: Callable[[Source], Draft]) -> None:
             told = f"the board {name!r} has a bus of this name already"
             source.mistakes.add(dotted("bus", name), told)
         elif board is not INVALID:
-            _add_board(source, name, board, make)
+            _add_board(source, name, board, robot_class)
 
 
-def _add_board(
-    source: Source, name: str, board: _Board, make: Callable[[Source], Draft]
-) -> None:
+def _add_board(source: Source, name: str, board: _Board, robot_class: type) -> None:
     where = dotted("board", name, "robot")
     try:
         inner = read_source(board.robot)
-        parts = make(inner).parts
+        parts = make_draft(inner, simulated=False, robot_class=robot_class).parts
         inner.mistakes.raise_all()
-    except ConfigError as error:
-        source.mistakes.add(where, str(error))
-        return
-    except ExceptionGroup as group:
-        for each in group.exceptions:
+    except (ConfigError, ExceptionGroup) as error:
+        for each in getattr(error, "exceptions", (error,)):
             source.mistakes.add(where, str(each))
         return
     bus: dict[str, Any] = {"type": "serial", "port": board.port, "framing": "cobs"}

@@ -8,7 +8,7 @@ import json
 import socket
 import time
 from collections.abc import Callable
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from esair.exceptions import BadValueError, BusyError
 from esair.journal import Event, Kind, Listener
@@ -36,26 +36,12 @@ VIEWED = 256 * 1024
 """The greatest value that is shown live, in bytes; of a larger one only that it came."""
 
 
-class Fed(Protocol):
-    """What a feed needs of its client."""
-
-    console: Console
-    dropped: int
-
-    @property
-    def gone(self) -> bool: ...
-    @property
-    def unread(self) -> int: ...
-    def send(self, found: dict[str, Any]) -> None: ...
-    def push(self, found: dict[str, Any]) -> bool: ...
-
-
 class Feed:
     """What is pushed to a client until it goes or wants another one."""
 
     fields: frozenset[str] = frozenset()
 
-    def __init__(self, client: Fed, message: Message) -> None:
+    def __init__(self, client: Visitor, message: Message) -> None:
         self.client = client
         self.name = message.id
         unknown = message.fields.keys() - self.fields
@@ -77,7 +63,7 @@ class _Watch(Feed):
 
     fields = frozenset({"every"})
 
-    def __init__(self, client: Fed, message: Message) -> None:
+    def __init__(self, client: Visitor, message: Message) -> None:
         super().__init__(client, message)
         every = message.fields.get("every", 0.25)
         if type(every) not in {int, float} or not 0.1 <= every <= 60.0:
@@ -103,7 +89,7 @@ class _Heard(Feed):
     kinds: list[Kind] | None = None
     _listener: Listener | None = None
 
-    def __init__(self, client: Fed, message: Message) -> None:
+    def __init__(self, client: Visitor, message: Message) -> None:
         super().__init__(client, message)
         self._waiting: dict[object, Any] = {}
         self._rests = False
@@ -145,7 +131,7 @@ class _Log(_Heard):
 
     fields = frozenset({"components", "kinds"})
 
-    def __init__(self, client: Fed, message: Message) -> None:
+    def __init__(self, client: Visitor, message: Message) -> None:
         super().__init__(client, message)
         self._components = _names(message, "components")
         kinds = _names(message, "kinds")

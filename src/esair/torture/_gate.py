@@ -97,18 +97,6 @@ class Gate:
     Each fault is a moment until which it lasts, on the loop's clock.
     """
 
-    after: float
-    before: float
-    unpowered: bool
-    flood: float
-    frozen: float
-    bad: float
-    fails: float
-    late: float
-    silent: float
-
-    gone: float
-
     def __init__(
         self,
         resource: Resource,
@@ -125,8 +113,10 @@ class Gate:
         # When it was taken away from the robot; None while it belongs to it
         self.left: float | None = None
         self.faulty: float = -1.0  # When its last fault is over
-        self.gone = self.silent = self.late = self.fails = -1.0
-        self.bad = self.frozen = self.flood = -1.0
+        self.gone: float = -1.0
+        self.silent = self.late = self.fails = self.bad = self.frozen = self.flood = (
+            self.gone
+        )
         self.deaf = self.unpowered = self._opens = False
         self.was_here: bool = False  # Whether its driver was ever called
         self.in_thread: bool = False  # Whether it is read or told in a thread
@@ -372,12 +362,6 @@ def _has(resource: Resource, name: str) -> bool:
 
 class Lever:
     """What one action is made to do."""
-
-    was_deaf: bool
-    deaf: bool
-    mad: float
-
-    hangs: float
 
     def __init__(self, action: Any, loop: Any) -> None:
         self.action = action
