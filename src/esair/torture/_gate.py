@@ -113,10 +113,8 @@ class Gate:
         # When it was taken away from the robot; None while it belongs to it
         self.left: float | None = None
         self.faulty: float = -1.0  # When its last fault is over
-        self.gone: float = -1.0
-        self.silent = self.late = self.fails = self.bad = self.frozen = self.flood = (
-            self.gone
-        )
+        self.gone = self.silent = self.late = self.fails = -1.0
+        self.bad = self.frozen = self.flood = -1.0
         self.deaf = self.unpowered = self._opens = False
         self.was_here: bool = False  # Whether its driver was ever called
         self.in_thread: bool = False  # Whether it is read or told in a thread
