@@ -6,7 +6,6 @@ import esair
 class Follow(esair.Reaction):
     """Turn to the side that sees the line; straight on between both."""
 
-    rate = 50.0
     left_eye = esair.reads(bool)
     right_eye = esair.reads(bool)
     left = esair.writes(float, blind="safe")
@@ -19,9 +18,8 @@ class Follow(esair.Reaction):
 class Clear(esair.Reaction):
     """Guard one wheel; the file says which."""
 
-    nearest = 0.15  # m
-    ahead = esair.reads(float, max_age=0.3)
+    ahead = esair.reads(float, max_age=0.3)  # m
     wheel = esair.guards(float)
 
     def react(self, ahead: float, wheel: float) -> float | None:
-        return wheel if ahead > self.nearest or wheel < 0.0 else esair.REFUSE
+        return wheel if ahead > 0.15 or wheel < 0.0 else esair.REFUSE

@@ -17,10 +17,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from esair.demo._drawing import Drawing
 from esair.demo._map import FloorMap
 from esair.demo._samples import Event
-from esair.demo._screen import Screen
+from esair.demo._screen import Drawing, Screen
 from esair.demo._show import Ending, perform
 
 

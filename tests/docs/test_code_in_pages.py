@@ -1,5 +1,7 @@
 """Pages are read in a clone: the code stands in them, and is that of the tested files."""
 
+import re
+
 import pytest
 from docs import sync
 
@@ -22,6 +24,14 @@ def test_a_page_needs_no_program_to_be_read(name) -> None:
     assert "{literalinclude}" not in page
     assert "{doc}`" not in page
     assert page.count("<!-- code: ") == len(sync.BLOCK.findall(page))
+
+
+def test_what_readme_links_is_looked_at() -> None:
+    """Each page of the docs that README leads to is one of these."""
+    links = re.findall(r"\]\((docs/[^)#]+\.md)", (sync.ROOT / "README.md").read_text())
+
+    assert len(links) > 40
+    assert {*links} <= {*NAMES}
 
 
 def test_a_block_follows_its_file() -> None:

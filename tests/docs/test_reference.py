@@ -14,9 +14,8 @@ import esair
 import esair.boards
 import esair.buses
 import esair.drivers
-from esair.config._boards import _Board
-from esair.config._construct import accepted_by
-from esair.config._parts import OF_ROBOT, TABLES
+from esair.config._components import accepted_by
+from esair.config._parts import OF_ROBOT, TABLES, _Board
 
 REFERENCE = Path(__file__).parents[2] / "docs" / "reference"
 

@@ -13,7 +13,7 @@ import pytest
 import esair
 import esair.buses
 import esair.drivers
-from esair.config._construct import accepted_by
+from esair.config._components import accepted_by
 from esair.drivers.ads1115 import Ads1115
 from esair.exceptions import BadValueError
 from esair.resources import (

@@ -163,18 +163,24 @@ async def test_half_requests_lock_nobody_out(served, way_in, half):
 
 
 @pytest.mark.promise("SEC-1")
-async def test_a_connection_has_one_answer(served):
-    """Who sends a thousand questions at once has one turn of the robot's loop, not all."""
+@pytest.mark.parametrize("asked", ["GET /page.js", "GET /nothing", "POST /"])
+async def test_a_connection_has_one_answer(served, asked):
+    """Who sends many questions at once has one turn of the robot's loop, not all.
+
+    Also if there is nothing of that name, and with the same words to the browser.
+    """
     async with served(Wander()) as robot:
         port = port_of(robot)
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        asked = f"GET /page.js HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n"
-        writer.write(asked.encode() * 1000)
+        question = f"{asked} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n"
+        writer.write(question.encode() * 100)
         answers = b""
         with contextlib.suppress(ConnectionError):
             while found := await reader.read(65536):
                 answers += found
-        assert answers.count(b"HTTP/1.1 200") <= 1
+        assert answers.count(b"HTTP/1.1 ") <= 1
+        if answers:
+            assert b"content-security-policy" in answers.lower()
         writer.close()
         assert (await get(robot, "/page.js"))[0] == 200
 

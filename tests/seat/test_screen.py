@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from esair.recording import size_of
-from esair.seat._short import TEXT, short
+from esair.seat._values import TEXT, short
 from esair.seat.screen import event_line, picture
 
 
@@ -94,6 +94,16 @@ def test_the_newest_events_fill_the_rest():
     assert len(lines) <= 24
     assert lines[-1].startswith("12:00:00 s49 down gone")
     assert not any("s10 " in line for line in lines)
+
+
+@pytest.mark.promise("OPS-2")
+def test_a_long_path_leaves_room_for_what_is_wrong_with_it() -> None:
+    """A word that is long is told by its ends."""
+    port = (
+        "/dev/serial/by-id/usb-Silicon_Labs_CP2102N_USB_to_UART_Bridge_0001-if00-port0"
+    )
+    text = shown(status(row("a", "lost", error=f"{port} is no device")))
+    assert "/dev/…_0001-if00-port0 is no dev" in text
 
 
 def test_a_mode_is_told_as_one() -> None:

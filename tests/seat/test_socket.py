@@ -534,6 +534,22 @@ async def test_a_secret_setting_is_never_shown(rover, raw, caplog):
 
 
 @pytest.mark.promise("OPS-2")
+async def test_only_a_bus_of_the_robot_is_told_as_one(rover, raw, tmp_path):
+    """A driver may call something else its bus: a file's name is a path, and may be no text."""
+
+    class Stranger:
+        name = tmp_path
+        outlet = None
+
+    lamp = Lamp(name="lamp")
+    async with rover(resources=[lamp]), raw() as client:
+        lamp.bus = Stranger()
+        answer = await client.do("1", "status")
+    (row, _) = answer["result"]["resources"]
+    assert (row["name"], row["bus"], row["medium"]) == ("lamp", None, None)
+
+
+@pytest.mark.promise("OPS-2")
 async def test_an_operation_of_a_device_is_called(rover, raw):
     """Typed, with its result; a wrong one is told."""
     async with rover(resources=[Lamp()]), raw() as client:

@@ -12,11 +12,10 @@ import pytest
 from tests.seat.conftest import Twist, Wander, eventually
 
 import esair
-from esair.cli._foxglove import PROTOCOLS, VIEWERS, Views
-from esair.cli._view import show
+from esair.cli._view import PROTOCOLS, VIEWERS, Views, show
 from esair.journal import Journal, Kind
 from esair.seat import connect
-from esair.seat._feeds import FEEDS
+from esair.seat._visitor import FEEDS
 from esair.seat._wire import Message
 
 websockets = pytest.importorskip("websockets")

@@ -35,7 +35,7 @@ class Mover(esair.Behavior):
         name: str,
         speed: float,
         *,
-        sets_up: float | Exception = 0.0,
+        sets_up: float | BaseException = 0.0,
         lasts: float = 1e6,
         fails: bool = False,
         deaf: float = 0.0,
@@ -51,9 +51,14 @@ class Mover(esair.Behavior):
 
     async def setup(self) -> None:
         self.story.append(f"{self.name} sets up")
-        if isinstance(self.sets_up, Exception):
+        if isinstance(self.sets_up, BaseException):
             raise self.sets_up
-        await asyncio.sleep(self.sets_up)
+        try:
+            await asyncio.sleep(self.sets_up)
+        except asyncio.CancelledError:
+            if not self.deaf:
+                raise
+            await asyncio.sleep(self.deaf)
 
     async def run(self) -> None:
         self.running += 1
@@ -206,6 +211,101 @@ async def test_what_runs_in_both_modes_goes_on() -> None:
             await robot.behaviors.switch(mode)
         await asyncio.sleep(0.1)
     assert [each.component for each in heard].count("map") == 1
+
+
+@pytest.mark.promise("MODE-2")
+@pytest.mark.parametrize("verb", ["add", "replace"])
+async def test_what_comes_while_the_old_ones_end_waits_for_its_turn(verb: str) -> None:
+    """It is added to a mode, or put in a place there, whose switch is under way."""
+    story: list[str] = []
+    wander = Mover("wander", 1.0, deaf=0.3, story=story)
+    near = Mover("near", 2.5, sets_up=0.1, story=story)
+    modes = {**TWO, "dock": ["dock", "near"]}
+    robot, _ = make(wander, Mover("dock", 2.0, story=story), near, modes=modes)
+    async with robot:
+        await asyncio.sleep(0.1)
+        if verb == "add":
+            await robot.behaviors.remove("dock")
+        switch = asyncio.create_task(robot.behaviors.switch("dock"))
+        await asyncio.sleep(0.2)
+        assert robot.behaviors.mode == "dock"
+        assert "wander ends" not in story
+        other = Mover("dock", 3.0, story=story)
+        if verb == "add":
+            await robot.behaviors.add(other)
+        else:
+            await robot.behaviors.replace("dock", other)
+        await switch
+        assert other.running
+    assert story.index("wander ends") < story.index("dock runs")
+
+
+@pytest.mark.promise("MODE-2")
+async def test_who_is_just_removed_ends_before_the_new_ones_begin() -> None:
+    """The removal had begun when the switch came."""
+    story: list[str] = []
+    wander = Mover("wander", 1.0, deaf=0.3, story=story)
+    robot, _ = make(wander, Mover("dock", 2.0, story=story), modes=TWO)
+    async with robot:
+        await asyncio.sleep(0.1)
+        removing = asyncio.create_task(robot.behaviors.remove("wander"))
+        await asyncio.sleep(0.1)
+        await robot.behaviors.switch("dock")
+        await removing
+    assert story.index("wander ends") < story.index("dock runs")
+
+
+@pytest.mark.promise("MODE-2")
+async def test_who_is_just_removed_is_not_set_up_for_a_mode() -> None:
+    """Its setup swallows its end, and a switch comes meanwhile: it goes without it."""
+    story: list[str] = []
+    near = Mover("near", 2.5, sets_up=0.3, deaf=0.1, story=story)
+    modes = {**TWO, "dock": ["dock", "near"]}
+    robot, _ = make(Mover("wander", 1.0), Mover("dock", 2.0), near, modes=modes)
+    async with robot:
+        first = asyncio.create_task(robot.behaviors.switch("dock"))
+        await asyncio.sleep(0.1)
+        removing = asyncio.create_task(robot.behaviors.remove("near"))
+        await asyncio.gather(first, return_exceptions=True)
+        async with asyncio.timeout(1.0):
+            await robot.behaviors.switch("dock")
+        await removing
+    assert story == ["near sets up"]
+
+
+@pytest.mark.promise("MODE-2")
+@pytest.mark.parametrize("verb", ["switch", "restart", "remove"])
+async def test_a_setup_that_swallows_its_end_is_not_followed_by_a_run(
+    verb: str,
+) -> None:
+    """It is for another mode by now, was begun anew, or is gone."""
+
+    class Deaf(Mover):
+        async def setup(self) -> None:
+            self.story.append("sets up")
+            try:
+                await asyncio.sleep(0.3)
+            except asyncio.CancelledError:
+                await asyncio.sleep(0.1)
+
+    dock = Deaf("dock", 2.0)
+    first = "explore" if verb == "switch" else "dock"
+    robot, _ = make(Mover("wander", 1.0), dock, modes=TWO, mode=first)
+    async with robot:
+        if verb == "switch":
+            going = asyncio.create_task(robot.behaviors.switch("dock"))
+            await asyncio.sleep(0.1)
+            await robot.behaviors.switch("explore")
+            await asyncio.gather(going, return_exceptions=True)
+        else:
+            going = asyncio.create_task(robot.behaviors.restart("dock"))
+            await asyncio.sleep(0.1)
+            await getattr(robot.behaviors, verb)("dock")
+            await asyncio.gather(going, return_exceptions=True)
+        await asyncio.sleep(1.0)
+        assert dock.running == (verb == "restart")
+        ran = dock.story.count("dock runs")
+    assert ran == {"switch": 0, "restart": 2, "remove": 1}[verb]
 
 
 @pytest.mark.promise("MODE-2")
@@ -550,7 +650,10 @@ class _Wheels(esair.Actuator[float]):
         self.told.append((mode, command))
 
 
-SET_UPS: list[float | Exception] = [0.0, 0.0, 0.03, 0.3, RuntimeError("no")]
+SET_UPS: list[float | BaseException] = [
+    *(0.0, 0.0, 0.03, 0.03, 0.3, 0.3),
+    *(RuntimeError("no"), SystemExit(3)),
+]
 """How long a setup takes, in seconds, or what it raises."""
 
 
@@ -560,25 +663,29 @@ async def _history(seed: int) -> None:
     names = {"explore": ["wander", "look"], "dock": ["dock", "near", "stopper"]}
     speeds = {"wander": 1.0, "look": 1.5, "dock": 2.0, "near": 2.5}
     mode_of = {speed: m for m in names for n, speed in speeds.items() if n in names[m]}
-    movers = {
-        name: Mover(
+    all_movers: list[Mover] = []
+
+    def new(name: str) -> Mover:
+        made = Mover(
             name,
-            speed,
+            speeds[name],
             sets_up=dice.choice(SET_UPS),
             lasts=dice.choice([1e6, 1e6, 0.3]),
             fails=dice.random() < 0.2,
             deaf=dice.choice([0.0, 0.0, 0.1, 3.0]),
         )
-        for name, speed in speeds.items()
-    }
+        all_movers.append(made)
+        for one in all_movers:
+            one.others = [  # who swallows its end is fenced off, and not waited for
+                other
+                for other in all_movers
+                if mode_of[other.speed] != mode_of[one.speed] and other.deaf <= 0.1
+            ]
+        return made
+
+    movers = {name: new(name) for name in speeds}
     for name in ("wander", "look"):
         movers[name].sets_up = 0.0
-    for one in movers.values():
-        one.others = [  # one that swallows its end is fenced off, and not waited for
-            other
-            for other in movers.values()
-            if mode_of[other.speed] != mode_of[one.speed] and other.deaf <= 0.1
-        ]
     wheels = _Wheels(dice.choice([0.0, 0.0, 0.01]))
     then: dict[str, str] = {}
     if dice.random() < 0.3:
@@ -597,6 +704,9 @@ async def _history(seed: int) -> None:
         removed.add(name)
         await robot.behaviors.remove(name)
 
+    async def replace(name: str) -> None:
+        await robot.behaviors.replace(name, new(name))
+
     async def crash(name: str) -> None:
         for task in asyncio.all_tasks():
             if task.get_name() == name:
@@ -609,6 +719,7 @@ async def _history(seed: int) -> None:
 
     acts: list[Callable[[], Any]] = [
         lambda: remove(dice.choice([*speeds, "stopper"])),
+        lambda: replace(dice.choice([*speeds])),
         lambda: crash(dice.choice([*speeds])),
         lambda: robot.behaviors.switch(dice.choice([*names])),
         lambda: robot.behaviors.restart(dice.choice([*speeds])),
@@ -634,11 +745,13 @@ async def _history(seed: int) -> None:
                     each, esair.EsairError | asyncio.CancelledError | list
                 ), each
             await asyncio.sleep(4.0)
+            for name in movers.keys() & {*robot.behaviors.names()}:
+                movers[name] = robot.behaviors.action(name)  # type: ignore[assignment]
             _judge_mode(robot, movers, names, removed)
     await asyncio.gather(*asked, return_exceptions=True)
     assert wheels.told[-1][1] == 0.0
-    assert not any(each.overlaps for each in movers.values())
-    assert not any(each.running for each in movers.values() if not each.deaf)
+    assert not any(each.overlaps for each in all_movers)
+    assert not any(each.running for each in all_movers if not each.deaf)
     _judge_commands(wheels, mode_of)
 
 

@@ -202,6 +202,33 @@ async def test_budgets_are_independent() -> None:
 
 
 @pytest.mark.promise("SUP-4")
+@pytest.mark.promise("SUP-4")
+async def test_a_setup_that_fails_at_the_users_restart_is_a_crash_like_another() -> (
+    None
+):
+    """The error is told, and it is tried again as its policy says: it does not stay down."""
+
+    class Picky(esair.Behavior):
+        restart = esair.Restart(max=0, retry=60.0)
+        fails = False
+
+        async def setup(self) -> None:
+            if self.fails:
+                raise OSError("there is no network")
+
+        async def run(self) -> None:
+            await asyncio.sleep(1e6)
+
+    picky = Picky()
+    async with esair.Robot(behaviors=[picky]) as robot:
+        picky.fails = True
+        with pytest.raises(esair.BehaviorFailedError):
+            await robot.behaviors.restart("picky")
+        picky.fails = False
+        await asyncio.sleep(61.0)
+        assert robot.behaviors.query("picky").state is esair.BehaviorState.RUNNING
+
+
 async def test_a_removal_ends_a_restart_that_waits() -> None:
     """What is gone does not come back by itself."""
     behavior = Scripted(

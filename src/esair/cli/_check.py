@@ -151,10 +151,16 @@ def _findings(findings: tuple[FoundInFile, ...]) -> Table:
     return table
 
 
-def _actuators(report: Report) -> Panel:
+def _in_panel(title: str) -> tuple[Panel, Table]:
+    """Return a panel, and the table in it: what, and which."""
     table = Table(box=None, pad_edge=False, show_header=False)
     table.add_column("what", style="dim", no_wrap=True)
     table.add_column("which", overflow="fold", ratio=1)
+    return Panel(table, title=title, title_align="left"), table
+
+
+def _actuators(report: Report) -> Panel:
+    panel, table = _in_panel("How each actuator is made safe")
     for number, actuator in enumerate(report.actuators):
         if number:
             table.add_row()
@@ -179,16 +185,14 @@ def _actuators(report: Report) -> Panel:
         table.add_row(
             "when this computer dies", Text(actuator.when_the_host_dies, style)
         )
-    return Panel(table, title="How each actuator is made safe", title_align="left")
+    return panel
 
 
 def _failures(report: Report) -> Panel:
-    table = Table(box=None, pad_edge=False, show_header=False)
-    table.add_column("who", style="dim", no_wrap=True)
-    table.add_column("what", overflow="fold", ratio=1)
+    panel, table = _in_panel("What a failure means")
     for name, told in report.failures.items():
         table.add_row(Text(name), Text(told))
-    return Panel(table, title="What a failure means", title_align="left")
+    return panel
 
 
 def _summary(report: Report) -> Text:

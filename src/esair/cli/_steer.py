@@ -26,9 +26,8 @@ _PATIENCE: Final = {"operate": 600.0}
 _OPTIONS: Final[dict[str, Any]] = {"robot": Which, "machine": AsJson}
 _OF_STOP: Final[dict[str, Any]] = {
     "everyone": Annotated[
-        bool,
-        Parameter("--all", help="Halt every robot of this user on this computer."),
-    ],
+        bool, Parameter("--all", help="Halt every robot of this user on this computer.")
+    ]
 }
 
 

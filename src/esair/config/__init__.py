@@ -4,16 +4,28 @@ Every mistake is told at once, before anything is opened or moved. The reference
 tables and their keys.
 """
 
-from esair.config._check import FoundInFile, Report, check, check_together
 from esair.config._classes import searched_first
-from esair.config._construct import keywords_of
-from esair.config._load import Description, build, load, load_robot
+from esair.config._components import (
+    find_module,
+    is_imported,
+    keywords_of,
+    make_component,
+)
+from esair.config._load import (
+    Description,
+    FoundInFile,
+    Report,
+    build,
+    check,
+    check_together,
+    has_simulation,
+    load,
+    load_robot,
+)
 from esair.config._mistakes import ConfigFileError, Lines
 from esair.config._module import find_robot, is_of_module, robot_of
-from esair.config._one import find_module, is_imported, make_component
-from esair.config._records import fields_of
 from esair.config._source import digest_of, tables_of
-from esair.config._values import INVALID, convert
+from esair.config._values import INVALID, convert, fields_of
 
 __all__ = [
     "INVALID",
@@ -30,6 +42,7 @@ __all__ = [
     "fields_of",
     "find_module",
     "find_robot",
+    "has_simulation",
     "is_imported",
     "is_of_module",
     "keywords_of",

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import attrs
 
 from esair.actions import ProfiledAction
 from esair.buses import Bus
 from esair.config._mistakes import below
-from esair.config._policies import BEHAVIORS
 from esair.config._source import Source
 from esair.messages import BehaviorsPolicy, Mode, Modes, Policy
 from esair.plan import Finding, Plan
 from esair.resources import Resource
+
+BEHAVIORS: Final = "behaviors"
+"""The table of those who may manage others; no resource's."""
 
 
 @attrs.frozen(eq=False)

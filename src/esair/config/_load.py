@@ -1,9 +1,9 @@
-"""From a file to a robot."""
+"""From a file to a robot, and to everything that can be known of it before it moves."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
@@ -11,11 +11,14 @@ import attrs
 
 from esair.actions import Behavior, ProfiledAction, Reaction
 from esair.buses import Bus
+from esair.config._draft import Draft
+from esair.config._module import is_of_module, robot_of
+from esair.config._network import open_to_all, pair_mistakes
 from esair.config._parts import make_draft, refused_by_robot
 from esair.config._source import read_source
 from esair.exceptions import ConfigError
 from esair.messages import BehaviorsPolicy, Policy
-from esair.plan import examine
+from esair.plan import Protection, examine, failures, protection
 from esair.resources import Resource
 from esair.standard import Robot
 
@@ -141,3 +144,173 @@ def load_robot(
     """Make a robot from a file; see `load` and `build`."""
     description = load(path, simulated=simulated, robot_class=robot_class)
     return build(description, robot_class)
+
+
+@attrs.frozen
+class FoundInFile:
+    """A finding, and where it is in the file.
+
+    Attributes:
+        severity: ``"error"`` or ``"warning"``.
+        rule: Which rule found it: ``configuration`` (a key is wrong), or one of
+            those of `esair.plan.Finding`.
+        key: The key, as a dotted path; empty for the whole file.
+        line: The line, counted from 1; None if it is not known.
+        message: What is wrong, and what to do.
+        only_simulated: Whether it holds for ``esair sim`` only.
+    """
+
+    severity: str
+    rule: str
+    key: str
+    line: int | None
+    message: str
+    only_simulated: bool = False
+
+
+@attrs.frozen
+class Report:
+    """What was found in one file.
+
+    Attributes:
+        file: The file or module, as it was named.
+        digest: SHA-256 of the file as it was read, in hexadecimal.
+        findings: What was found, in the order of the file, errors first.
+        actuators: How each actuator is made safe.
+        with_simulation: Whether the ``sim`` tables were checked too.
+        failures: What happens when a behavior or reaction fails again and again, by its
+            name, in words.
+    """
+
+    file: str
+    digest: str
+    findings: tuple[FoundInFile, ...]
+    actuators: tuple[Protection, ...]
+    with_simulation: bool
+    failures: Mapping[str, str] = attrs.field(factory=dict)
+
+    @property
+    def errors(self) -> int:
+        """How many errors there are."""
+        return sum(finding.severity == "error" for finding in self.findings)
+
+    @property
+    def warnings(self) -> int:
+        """How many warnings there are."""
+        return len(self.findings) - self.errors
+
+
+def check_together(
+    paths: Sequence[str | os.PathLike[str]], *, robot_class: type = Robot
+) -> list[Report]:
+    """Find every mistake of robots that use each other: in each file, and between them.
+
+    Args:
+        paths: Their files; a module is looked at alone.
+        robot_class: The class of their robots.
+
+    Raises:
+        ConfigError: One cannot be read.
+    """
+    reports = [check(path, robot_class=robot_class) for path in paths]
+    if len(paths) < 2:
+        return reports
+    drafts = [
+        None
+        if is_of_module(str(path))
+        else make_draft(read_source(path), simulated=False, robot_class=robot_class)
+        for path in paths
+    ]
+    for number, mine in enumerate(drafts):
+        found = [
+            FoundInFile("error", "peer", key, mine.source.mistakes.lines.of(key), told)
+            for other in drafts
+            if mine is not None and other is not None and other is not mine
+            for key, told in pair_mistakes(mine, other)
+        ]
+        every = (*found, *reports[number].findings)
+        reports[number] = attrs.evolve(reports[number], findings=every)
+    return reports
+
+
+def check(path: str | os.PathLike[str], *, robot_class: type = Robot) -> Report:
+    """Find every mistake of a robot at once, without opening a device.
+
+    A file is checked as it is, and, if it has any ``sim`` table, as a simulation.
+
+    Args:
+        path: A robot.toml; or the robot of a module: ``module:robot``, ``file.py:robot``.
+        robot_class: The class of a file's robot.
+
+    Raises:
+        ConfigError: The file or module cannot be read, or there is no such robot in it.
+    """
+    if is_of_module(str(path)):
+        return _of_module(str(path))
+    source = read_source(path)
+    real = make_draft(source, simulated=False, robot_class=robot_class)
+    found = _found(real, robot_class)
+    with_simulation = has_simulation(source.data)
+    if with_simulation:
+        simulated = make_draft(
+            read_source(path), simulated=True, robot_class=robot_class
+        )
+        known = {(each.key, each.message) for each in found}
+        found += [
+            attrs.evolve(each, only_simulated=True)
+            for each in _found(simulated, robot_class)
+            if (each.key, each.message) not in known
+        ]
+    found.sort(key=lambda each: (each.severity, each.line or 0))
+    return Report(
+        file=source.mistakes.file,
+        digest=source.digest,
+        findings=tuple(found),
+        actuators=tuple(protection(real.plan())),
+        with_simulation=with_simulation,
+        failures=failures(real.plan()),
+    )
+
+
+def _of_module(target: str) -> Report:
+    plan = robot_of(target).plan
+    found = []
+    for each in sorted(examine(plan), key=lambda each: each.severity.value):
+        key = ".".join(part for part in (each.component, each.field) if part)
+        level = each.severity.value
+        found.append(FoundInFile(level, each.rule, key, None, each.text))
+    table = tuple(protection(plan))
+    return Report(target, "", tuple(found), table, False, failures(plan))
+
+
+def has_simulation(tables: Mapping[str, Any]) -> bool:
+    """Tell whether a file says what stands for some part of it in a simulation."""
+    kinds = (tables.get(each) for each in ("bus", "sensor", "actuator"))
+    parts = (part for kind in kinds if isinstance(kind, dict) for part in kind.values())
+    return any(isinstance(part, dict) and "sim" in part for part in parts)
+
+
+def _found(draft: Draft, robot_class: type) -> list[FoundInFile]:
+    mistakes = draft.source.mistakes
+    findings = examine(draft.plan())
+    warned = open_to_all(draft.peers)
+    sound = not mistakes.errors and not any(each.is_error for each in findings)
+    refused_by_robot(draft, robot_class, sound=sound)
+    found = [
+        FoundInFile("error", "configuration", error.key, error.line, error.reason)
+        for error in mistakes.errors
+    ]
+    if warned:
+        line = mistakes.lines.of("network.insecure")
+        found.append(FoundInFile("warning", "peer", "network.insecure", line, warned))
+    found += [
+        FoundInFile(
+            finding.severity.value,
+            finding.rule,
+            key := draft.key_of(finding),
+            mistakes.lines.of(key),
+            finding.text,
+        )
+        for finding in findings
+    ]
+    return found

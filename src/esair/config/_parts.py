@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+import functools
+import operator
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final, Literal
 
-from esair.config._boards import add_boards
-from esair.config._components import make_behavior, make_bus, make_device
-from esair.config._construct import keywords_of
-from esair.config._draft import Draft, Part
-from esair.config._mistakes import below, dotted, unknown
+import attrs
+
+from esair.actions import Reaction
+from esair.config._components import keywords_of, make_behavior, make_bus, make_device
+from esair.config._draft import BEHAVIORS, Draft, Part
+from esair.config._mistakes import below, dotted, show, unknown
 from esair.config._network import TABLES as OF_NETWORK
 from esair.config._network import add_behaviors, add_buses, read_peers
-from esair.config._policies import read_policies
-from esair.config._records import make_of
 from esair.config._ros import add_bus, add_citizen, read_ros
-from esair.config._source import Source
+from esair.config._source import Source, read_source
 from esair.config._tables import named_tables
-from esair.config._values import INVALID
-from esair.exceptions import EsairError
-from esair.messages import Mode
+from esair.config._values import INVALID, WORDS, Invalid, make_of
+from esair.exceptions import ConfigError, EsairError, did_you_mean
+from esair.messages import Access, BehaviorsPolicy, Mode, Policy
 from esair.resources import Actuator, Sensor
 
 OF_ROBOT: Final = frozenset({"operator", "record", "page"})
@@ -42,10 +45,7 @@ def make_draft(source: Source, *, simulated: bool, robot_class: type) -> Draft:
         elif not isinstance(value, dict):
             source.wrong(name, "a table", value)
             del source.data[name]
-    add_boards(
-        source,
-        lambda other: make_draft(other, simulated=False, robot_class=robot_class),
-    )
+    _add_boards(source, robot_class)
     draft.robot = _read_robot(source, robot_class)
     draft.peers = peers = read_peers(source)
     ros = read_ros(source)
@@ -113,3 +113,175 @@ def refused_by_robot(draft: Draft, robot_class: type, *, sound: bool) -> None:
         draft.source.mistakes.caught(key, error, "the robot")
 
     make_of(robot_class, {**parts, **draft.robot}, refused, sound=sound)
+
+
+_RIGHTS: Final = {
+    "read": Access.READ,
+    "write": Access.WRITE,
+    "configure": Access.CONFIGURE,
+    "guard": Access.GUARD,
+    "none": Access(0),
+}
+
+
+def read_policies(source: Source) -> dict[str, Policy | BehaviorsPolicy]:
+    """Return the rules of a file, by the name of the resource."""
+    tables = source.data.get("access", {})
+    policies: dict[str, Policy | BehaviorsPolicy] = {}
+    for name, table in tables.items():
+        key = dotted("access", name)
+        if not isinstance(table, dict):
+            source.wrong(key, 'a table such as { wander = "write" }', table)
+        else:
+            read = _managers if name == BEHAVIORS else _policy
+            policies[name] = read(source, key, name, table)
+    return policies
+
+
+def _managers(
+    source: Source, key: str, name: str, table: dict[str, Any]
+) -> BehaviorsPolicy:
+    return BehaviorsPolicy(_by_behavior(source, key, table, Literal["manage"]))
+
+
+def _policy(source: Source, key: str, name: str, table: dict[str, Any]) -> Policy:
+    rest = dict(table)
+    exclusive = rest.pop("exclusive", False)
+    levels = rest.pop("max_priority", {})
+    if not isinstance(levels, dict):
+        source.wrong(
+            below(key, "max_priority"), "a table such as { wander = 5 }", levels
+        )
+        levels = {}
+    return Policy(
+        name,
+        allow=_by_behavior(source, key, rest, Access),
+        exclusive=source.convert(exclusive, bool, below(key, "exclusive")) is True,
+        max_priority=_by_behavior(source, below(key, "max_priority"), levels, int),
+    )
+
+
+def _by_behavior(
+    source: Source, key: str, table: Mapping[str, object], kind: Any
+) -> dict[str, Any]:
+    """Return what a table says of each behavior, and of all others by ``*``."""
+    found: dict[str, Any] = {}
+    for behavior, value in table.items():
+        where = below(key, behavior)
+        if behavior != "*" and not source.is_name("behavior", behavior, where):
+            continue
+        result = (
+            _access(source, where, value)
+            if kind is Access
+            else source.convert(value, kind, where)
+        )
+        if result is not INVALID:
+            found[behavior] = result
+    return found
+
+
+def _access(source: Source, key: str, value: object) -> Access | Invalid:
+    if not isinstance(value, str):
+        source.wrong(key, 'rights such as "read, write"', value)
+        return INVALID
+    words = [word.strip() for word in value.split(",")]
+    for word in words:
+        if word not in _RIGHTS:
+            told = f"expected some of {', '.join(_RIGHTS)}, with commas between them, "
+            told += f"not {show(word)}{did_you_mean(word, _RIGHTS)}"
+            source.mistakes.add(key, told)
+            return INVALID
+    return functools.reduce(operator.or_, (_RIGHTS[word] for word in words))
+
+
+@attrs.frozen
+class _Board:
+    """A table ``[board.NAME]``."""
+
+    port: str = attrs.field(metadata={WORDS: "its serial port, as 'usb:2e8a:0005'"})
+    robot: Path = attrs.field(
+        metadata={WORDS: "the file that its firmware is built from, as 'base.toml'"}
+    )
+    baudrate: int | None = None
+    arm: bool | None = None
+
+
+_DRIVERS: Final = "esair.drivers.board"
+
+
+def _add_boards(source: Source, robot_class: type) -> None:
+    """Write the tables that the boards of a file stand for.
+
+    A board has a bus and a sensor (how it is) of its own name, and its sensors and
+    actuators have the names of its own file. A table of such a name adds keys to it.
+    """
+    for name, table in named_tables(source, "board"):
+        key = dotted("board", name)
+        board = source.convert(table, _Board, key)
+        if name in source.data.get("bus", {}):
+            told = f"the board {name!r} has a bus of this name already"
+            source.mistakes.add(dotted("bus", name), told)
+        elif board is not INVALID:
+            _add_board(source, name, board, robot_class)
+
+
+def _add_board(source: Source, name: str, board: _Board, robot_class: type) -> None:
+    where = dotted("board", name, "robot")
+    try:
+        inner = read_source(board.robot)
+        parts = make_draft(inner, simulated=False, robot_class=robot_class).parts
+        inner.mistakes.raise_all()
+    except (ConfigError, ExceptionGroup) as error:
+        for each in getattr(error, "exceptions", (error,)):
+            source.mistakes.add(where, str(each))
+        return
+    bus: dict[str, Any] = {"type": "serial", "port": board.port, "framing": "cobs"}
+    if board.baudrate is not None:
+        bus["baudrate"] = board.baudrate
+    source.data.setdefault("bus", {})[name] = bus
+    source.mistakes.lines.put(dotted("bus", name), dotted("board", name))
+    state: dict[str, Any] = {"driver": f"{_DRIVERS}:Board"}
+    if board.arm is not None:
+        state["arm"] = board.arm
+    _add(source, "sensor", name, {**state, "bus": name}, name)
+    for part in parts:
+        found = _table_of(part, parts)
+        if found is not None:
+            _add(source, part.kind, part.name, {**found, "bus": name}, name)
+
+
+def _table_of(part: Part, parts: list[Part]) -> dict[str, Any] | None:
+    if isinstance(part.made, Sensor):
+        return {"driver": f"{_DRIVERS}:BoardSensor"}
+    if not isinstance(part.made, Actuator):
+        return None
+    actuator = part.made
+    safe = actuator.safe
+    return {
+        "driver": f"{_DRIVERS}:BoardActuator",
+        "safe": list(safe) if isinstance(safe, tuple) else safe,
+        "command_timeout": actuator.command_timeout,
+        "own_guards": [
+            each.name
+            for each in parts
+            if isinstance(each.made, Reaction)
+            and any(need.resource == part.name for need in each.made.needs.values())
+        ],
+    }
+
+
+def _add(
+    source: Source, kind: str, name: str, table: dict[str, Any], board: str
+) -> None:
+    source.mistakes.lines.put(dotted(kind, name), dotted("board", board))
+    tables = source.data.setdefault(kind, {})
+    given = tables.get(name, {})
+    if not isinstance(given, dict):
+        return  # told already
+    if "driver" in given:
+        source.mistakes.add(
+            dotted(kind, name), f"the board has a {kind} of this name: take another"
+        )
+        return
+    tables[name] = {**table, **given}
+    source.implied.add(name)

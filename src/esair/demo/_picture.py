@@ -16,8 +16,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 
-from esair.demo._samples import Event
-from esair.demo._summary import Run
+from esair.demo._samples import Event, Run
 from esair.sim import Arena
 
 INK, PALE, PAPER, TRUTH = "#22262e", "#8a9099", "#fbfaf7", "#c9a227"
@@ -87,12 +86,7 @@ def _draw_floor(axes: Axes, run: Run, numbered: list[Event]) -> None:
         vmin=-2.0,
         vmax=2.0,
         origin="lower",
-        extent=(
-            left,
-            left + columns * floor.cell,
-            bottom,
-            bottom + rows * floor.cell,
-        ),
+        extent=(left, left + columns * floor.cell, bottom, bottom + rows * floor.cell),
         interpolation="bilinear",
     )
     _draw_arena(axes, run.arena)

@@ -1,4 +1,4 @@
-"""How things were, moment by moment: for the screen and the picture."""
+"""How things were, moment by moment, and at the end."""
 
 from __future__ import annotations
 
@@ -8,14 +8,17 @@ from collections.abc import Callable
 from typing import Any
 
 import attrs
+from rich.console import Console
 
 from esair import journal
-from esair.demo._mapper import Mapper
+from esair.connections import LastCommand
+from esair.demo._mapper import Belief, Mapper
 from esair.demo._reactions import Bump
 from esair.demo._values import Twist
 from esair.journal import Kind
 from esair.loop import every
-from esair.sim import Simulation
+from esair.seat.screen import picture
+from esair.sim import Arena, Simulation
 from esair.standard import Robot
 
 SAMPLE_PERIOD = 0.05  # Between two samples, in seconds
@@ -128,3 +131,43 @@ class Witness:
                 touched = "it touches something low, over which its beams look"
                 self.tell(self.event("bump", touched), "the reaction bump backs off")
             bumps = self._bump.bumps
+
+
+@attrs.frozen
+class Run:
+    """What is left of a run: the picture shows it, and the numbers."""
+
+    arena: Arena
+    belief: Belief  # What the rover believes at the end
+    samples: tuple[Sample, ...]  # Where it was, and who drove it, in order
+    events: tuple[Event, ...]
+    seconds: float  # How long it took
+    distance: float  # How far the rover drove, in metres
+    known: float  # Which part of the floor it knows at the end, 0 to 1
+    error: float  # How far its belief of where it is was off at the end, in metres
+    bumps: int  # How often it touched something
+    status: dict[str, Any]
+    # What each actuator was told last, and whether it answered
+    told: tuple[LastCommand, ...]
+    unmet: tuple[str, ...]  # What should have happened and did not
+
+    @property
+    def headline(self) -> str:
+        """The run in one line."""
+        bumps = "1 bump" if self.bumps == 1 else f"{self.bumps} bumps"
+        known = f"{100 * self.known:.0f} % of the floor known"
+        error = f"position off by {100 * self.error:.0f} cm"
+        return (
+            f"{self.distance:.1f} m in {self.seconds:.0f} s, {known}, {error}, {bumps}"
+        )
+
+    def show(self, console: Console) -> None:
+        """Print it."""
+        console.print()
+        console.print(picture(self.status, console, height=10_000, hint=""))
+        console.print()
+        for told in self.told:
+            console.print(f"last command: {told}")
+        for what in self.unmet:
+            console.print(f"[bold red]did not happen in time:[/bold red] {what}")
+        console.print(f"[bold]{self.headline}[/bold]")

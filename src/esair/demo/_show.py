@@ -16,15 +16,13 @@ from rich.text import Text
 from esair.actions import MinimalReaction
 from esair.buses import Frame
 from esair.config import Description, build, load
-from esair.demo._drawing import Drawing
 from esair.demo._journeys import Explore
 from esair.demo._kill import kill as show_deaths
 from esair.demo._mapper import Mapper
 from esair.demo._reactions import Bump
-from esair.demo._samples import Witness
-from esair.demo._screen import Screen
+from esair.demo._samples import Run, Witness
+from esair.demo._screen import Drawing, Screen
 from esair.demo._story import Story
-from esair.demo._summary import Run
 from esair.exceptions import EsairError, RecordingBrokenError, describe
 from esair.loop import TurnLoop, every
 from esair.messages import Recording

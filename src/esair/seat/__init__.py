@@ -4,13 +4,7 @@ One table of acts serves the control socket, ``robot.behaviors.command`` and the
 The operator is a principal with rights of its own; what it does is in the journal.
 """
 
-from esair.seat._acts import (
-    ACTS,
-    Act,
-    Field,
-    act_of,
-    table_of,
-)
+from esair.seat._acts import ACTS, Act, Field, act_of, table_of
 from esair.seat._client import Client, NoRobotError, RefusedActError, connect
 from esair.seat._operator import Console, Session
 from esair.seat._place import robots

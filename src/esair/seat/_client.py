@@ -151,7 +151,10 @@ class Client:
             if time.monotonic() > end:
                 break
             if "ok" in found and found.get("id") in {name, None}:
-                return result_of(found)
+                if found["ok"]:
+                    return found["result"]
+                error = found["error"]
+                raise RefusedActError(str(error["type"]), str(error["text"]))
             self.pushed.append(found)
             del self.pushed[:-1000]
         raise TimeoutError(f"robot {self.name!r} has not answered in {timeout:g} s")
@@ -183,11 +186,3 @@ class Client:
 
     def _gone(self) -> str:
         return f"robot {self.name!r} has ended"
-
-
-def result_of(found: dict[str, Any]) -> Any:
-    """Return the result in an answer."""
-    if found["ok"]:
-        return found["result"]
-    error = found["error"]
-    raise RefusedActError(str(error["type"]), str(error["text"]))

@@ -53,10 +53,6 @@ _PEOPLE = frozenset({"resume", "mute", "reset", "lease", "drive"})
 _log = logging.getLogger("esair")
 
 
-def _has_hand(session: Session) -> bool:
-    return session.hand is not None
-
-
 @attrs.define(eq=False)
 class Session:
     """Whoever gives acts: one client, or one who types.
@@ -72,7 +68,9 @@ class Session:
 
     who: str
     hand: Driver | None = None
-    drives: bool = attrs.field(default=attrs.Factory(_has_hand, takes_self=True))
+    drives: bool = attrs.field(
+        default=attrs.Factory(lambda self: self.hand is not None, takes_self=True)
+    )
     number: int = 0
     given: int = 0
     busy: int = 0
@@ -136,12 +134,9 @@ class Console:
             tuple[str, str], tuple[Act, asyncio.Future[Any]]
         ] = collections.OrderedDict()
         self._typed = itertools.count(1)
-        self.done: int = 0
-        """How many acts were done."""
-        self.refused: int = 0
-        """How many were not."""
-        self.again: int = 0
-        """How many came again with the same id, and were not done again."""
+        self.done: int = 0  # How many acts were done
+        self.refused: int = 0  # How many were not
+        self.again: int = 0  # How many came again with the same id: done once
         robot.journal.count("operator", lambda: [(self.name, self.counts())])
 
     def counts(self) -> dict[str, int]:
@@ -189,7 +184,9 @@ class Console:
         waiting = Waiting(session, fields, outcome)
         if act.looks or current_owner() is not None:
             # Looking changes nothing, and what a component types repeats by itself.
-            self._loop.call_soon(self._begin, act, waiting, message.until)
+            self._loop.call_soon(
+                self._context.run, self._do, act, waiting, message.until
+            )
         else:
             self._give(act, waiting, message.until)
         return outcome
@@ -386,18 +383,15 @@ class Console:
             )
             session.busy += 1
             waiting = Waiting(session, given.fields, self._outcome())
-        self._begin(ACTS[given.act], waiting, given.until)
+        self._context.run(self._do, ACTS[given.act], waiting, given.until)
 
     def _hear_leave(self, number: int) -> None:
         session = self._sessions.pop(number, None)
         if session is not None:
             self.leases.end_all(session)
 
-    def _begin(self, act: Act, waiting: Waiting, until: float | None) -> None:
-        """Do an act, in the turn that is its own."""
-        self._context.run(self._do, act, waiting, until)
-
     def _do(self, act: Act, waiting: Waiting, until: float | None) -> None:
+        """Do an act, in the turn that is its own."""
         session, fields, _ = waiting
         if until is not None and self._time() > until:
             late = self._time() - until

@@ -207,8 +207,8 @@ HEADERS = {
     "Cache-Control": "no-store",
     "Connection": "close",
 }
-"""What each answer says to the browser: nothing from elsewhere, nothing inline, and one
-answer for each connection: a thousand questions in one would hold the robot's loop."""
+"""What each answer says to the browser, whatever it is: nothing from elsewhere, nothing
+inline, and one answer for each connection: a thousand would hold the robot's loop."""
 
 _FILES = {
     "/": ("page.html", "text/html"),
@@ -283,6 +283,7 @@ class PageServer(Way["_Viewer"]):
             h11_max_incomplete_event_size=16 * 1024,
             server_header=False,
             proxy_headers=False,
+            headers=[*HEADERS.items()],
         )
         for name in ("uvicorn.error", "uvicorn.access"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -388,16 +389,16 @@ class PageServer(Way["_Viewer"]):
 
         async def file(request: Request) -> Response:
             if not self.is_welcome(request):
-                return PlainTextResponse("not for you", 403, HEADERS)
+                return PlainTextResponse("not for you", 403)
             name, kind = _FILES[request.url.path]
             data = (_STATIC / name).read_bytes()
-            return Response(data, headers=HEADERS, media_type=kind)
+            return Response(data, media_type=kind)
 
         async def numbers(request: Request) -> Response:
             given = request.headers.get("authorization", "").removeprefix("Bearer ")
             if not self.is_welcome(request) or not self.knows(given):
-                return PlainTextResponse("not for you", 403, HEADERS)
-            return PlainTextResponse(metrics(self.console), 200, HEADERS)
+                return PlainTextResponse("not for you", 403)
+            return PlainTextResponse(metrics(self.console))
 
         async def operate(link: WebSocket) -> None:
             if not self.is_welcome(link):

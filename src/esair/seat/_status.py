@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from esair.actions import Reaction
+from esair.buses import Bus
 from esair.connections import HALT
 from esair.exceptions import describe, in_short
 from esair.loop import clock_of
 from esair.messages import ResourceState, Why
 from esair.recording import plain
 from esair.resources import HIDDEN, Resource, operations_of, settings_of
-from esair.seat._short import numbers_of, short
+from esair.seat._values import numbers_of, short
 
 if TYPE_CHECKING:
     import asyncio
@@ -78,6 +79,8 @@ class Status:
         for name in sorted(robot.resources.names()):
             status, counted = robot.resources.query(name), counts.get(name, {})
             resource = robot.resources.get(name)
+            # A driver may call something else its bus: a file, whose name is a path.
+            bus = resource.bus if isinstance(resource.bus, Bus) else None
             if type(resource) not in self._operations:
                 self._operations[type(resource)] = _operations(type(resource))
             row: dict[str, Any] = {
@@ -93,8 +96,8 @@ class Status:
                 "losses": status.losses,
                 "faults": status.faults,
                 "refusals": counted.get("refusals", 0) + counted.get("bad", 0),
-                "bus": getattr(resource.bus, "name", None),
-                "medium": None if resource.bus is None else type(resource.bus).__name__,
+                "bus": None if bus is None else bus.name,
+                "medium": None if bus is None else type(bus).__name__,
                 "settings": settings(resource),
                 "operations": self._operations[type(resource)],
                 "numbers": {},

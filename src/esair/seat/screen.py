@@ -206,7 +206,7 @@ def _told(each: Mapping[str, Any]) -> Text:
     told = Text(no_wrap=True, overflow="ellipsis")
     value = f" {printable(each.get('value') or '')}"
     if each["error"]:
-        return told.append(printable(each["error"]), "red")
+        return told.append(_without_long_words(printable(each["error"])), "red")
     if each["kind"] == "sensor":
         return told.append(value[1:], "dim")
     if each["stands"]:
@@ -215,6 +215,12 @@ def _told(each: Mapping[str, Any]) -> Text:
     if each["priority"] is not None:
         told.append(f" ({each['priority']})")
     return told.append(value, "dim")
+
+
+def _without_long_words(text: str) -> str:
+    """Return a text whose long words, such as paths, leave room for the others."""
+    words = text.split(" ")
+    return " ".join(w if len(w) <= 24 else f"{w[:5]}…{w[-16:]}" for w in words)
 
 
 def _color(word: str) -> str:

@@ -16,11 +16,8 @@ from esair.buses.i2c import ChipBus
 from esair.buses.serial import MemoryLine, PtyLine
 from esair.exceptions import ConfigError, hint_for
 from esair.loop import Door, Job, Scheduler, turn_of
-from esair.sim._arena import Arena
-from esair.sim._imu import SimMpu6050
-from esair.sim._motor import SimMotor
-from esair.sim._serial_parts import SimBumper, SimRangeFinder
-from esair.sim._world import World
+from esair.sim._parts import SimBumper, SimMotor, SimMpu6050, SimRangeFinder
+from esair.sim._world import Arena, World
 
 STEP = 0.01  # How much time one step of the physics is, in seconds
 

@@ -69,6 +69,8 @@ class Turns:
         self._entering: list[Member] = []  # those that it sets up
         self._under_way: asyncio.Future[None] | None = None
         """Done when a switch has come to its end, one way or the other."""
+        self.leave: asyncio.Future[None] | None = None
+        """There while those end whose turn is over, until what they moved is safe."""
         self._following: asyncio.Task[None] | None = None
 
     def rests(self, name: str) -> bool:
@@ -92,6 +94,12 @@ class Turns:
         member = self._crew.member(name)
         if self.rests(name) or (member.gate is not None and not member.gate.done()):
             raise RefusedError(f"{self._why(member)}: switch to its mode", name)
+
+    async def left(self) -> None:
+        """Wait until those have ended whose turn is over: then others may begin."""
+        while self.leave is not None:
+            self._crew.commands.changed()
+            await asyncio.wait({self.leave})
 
     async def switch(self, mode: str, reason: str) -> None:
         """Go to a mode; see `BehaviorSupervisor.switch`."""
@@ -191,7 +199,12 @@ class Turns:
             await crew.rested(*left)
             raise
         crew.commands.no_return()
-        await self._take_turns(mode, entering, reason)
+        self.leave = leave = loop.create_future()
+        try:
+            await self._take_turns(mode, entering, reason)
+        finally:
+            self.leave = None
+            wake(leave)
 
     def _still(self, members: list[Member]) -> list[Member]:
         """Return which of them nobody has removed or replaced, or does."""
@@ -199,7 +212,9 @@ class Turns:
         return [m for m in members if there.get(m.name) is m and not m.mail.is_leaving]
 
     def _enters(self, member: Member, mode: str) -> bool:
-        return self.rests(member.name) and self.modes.runs(member.name, mode)
+        """Tell whether a member begins in a mode; one that is just removed does not."""
+        begins = self.rests(member.name) and self.modes.runs(member.name, mode)
+        return begins and not member.mail.is_leaving
 
     async def _take_turns(self, mode: str, set_up: list[Member], reason: str) -> None:
         """End the old ones, and let the new ones begin."""
@@ -216,7 +231,10 @@ class Turns:
         crew.journal.publish(Kind.MODE, mode, "", before, reason)
         why = f": {printable(reason)}" if reason else ""
         _log.info("mode %s, after %s%s", mode, before, why)
+        removed = [each.over for each in crew.ending if each.over is not None]
         await crew.rested(*leaving)
+        if removed:  # the user is just taking them away: they end before, too
+            await asyncio.wait(removed)
         for member in leaving:
             if member.mail.state is BehaviorState.RESTING:
                 member.sight.rest()

@@ -9,10 +9,10 @@ from typing import Any, TypeVar
 
 from esair import abc, minimal
 from esair.actions import Behavior, Reaction, Request, adapt_action
-from esair.exceptions import BehaviorRemovedError
+from esair.exceptions import BehaviorFailedError, BehaviorRemovedError
 from esair.journal import Kind
 from esair.loop import VERB_COST, Budget, wake
-from esair.messages import BehaviorStatus, Modes, SupervisorPhase
+from esair.messages import BehaviorState, BehaviorStatus, Modes, SupervisorPhase
 from esair.plan import examine_action, in_use
 from esair.supervisors._behavior_deployment import (
     BehaviorDeployment,
@@ -180,6 +180,8 @@ class BehaviorSupervisor(abc.Supervisor):
         async def work() -> None:
             crew = self._deployment
             await crew.gone(name)
+            if crew.turns.leave is not None:
+                await crew.turns.left()
             refuse_all(examine_action(crew.resources.plan, action), action)
             member = Member(action, crew, name)
             crew.take_in(member)
@@ -271,6 +273,7 @@ class BehaviorSupervisor(abc.Supervisor):
                         # Until then the old one decides: nothing moves unwatched.
                         self._commands.changed()
                         await asyncio.wait({new.sight.decided()}, timeout=TAKE_OVER)
+                    await crew.turns.left()
                     old = crew.member(name)  # it may be another one by now
                     if old.mail.is_leaving or crew.turns.rests(name):
                         raise BehaviorRemovedError(name)
@@ -325,7 +328,8 @@ class BehaviorSupervisor(abc.Supervisor):
         Raises:
             UnknownNameError: No behavior has the name.
             RefusedError: It rests in this mode.
-            BehaviorFailedError: Its ``setup`` did not end in time.
+            BehaviorFailedError: Its ``setup`` failed, which is a crash like another, or did
+                not end in time.
             BehaviorRemovedError: It was removed meanwhile.
             StoppingError: The robot is not running.
         """
@@ -337,7 +341,12 @@ class BehaviorSupervisor(abc.Supervisor):
             member.end_run()
             self._commands.changed()
             await member.run_ended(self._deployment.grace)
-            await self._deployment.begin(member)
+            try:
+                await self._deployment.begin(member)
+            except BehaviorFailedError:
+                if member.mail.state is BehaviorState.FAILED and member.mail.error:
+                    member.begin_again(member.mail.error)
+                raise
 
         await self._commands.run(work, name=f"restart {name}", undo=False)
 

@@ -266,8 +266,11 @@ class Member:
     async def _live(self, behavior: Behavior) -> BaseException | None:
         """Run one incarnation; returns its error, so that nothing escapes a task."""
         error: BaseException | None = None
+        owner = self.mail.owner
         try:
             await self._run(behavior.setup)
+            if owner.over or self.given_up:  # its end came, and it went on
+                raise asyncio.CancelledError
             if self.gate is not None:
                 self._is_ready()
                 await self.gate
@@ -365,6 +368,10 @@ class Member:
             _log.info("%s: parked: %s", self.name, self.detail)
             self.crew.mediator.peer_failed(self.mail, error)
             return
+        self.begin_again(error)
+
+    def begin_again(self, error: BaseException) -> None:
+        """Begin anew after a crash, when its budget says so; else it has failed."""
         loop = asyncio.get_running_loop()
         pause = self.life.pause_after(error, loop.time())
         if pause is None:

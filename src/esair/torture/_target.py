@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -73,7 +72,8 @@ class Target:
     def _of_file(cls, path: Path) -> Target:
         simulated = _loads(path, simulated=True)
         if not simulated and not _loads(path):  # the mistakes that are meant are raised
-            config.load(path, simulated=_has_sim_tables(path))
+            simulated = config.has_simulation(config.tables_of(path))
+            config.load(path, simulated=simulated)
 
         def make() -> esair.Robot:
             made = config.build(config.load(path, simulated=simulated))
@@ -130,15 +130,6 @@ def _loads(path: Path, *, simulated: bool = False) -> bool:
     except ExceptionGroup:
         return False
     return True
-
-
-def _has_sim_tables(path: Path) -> bool:
-    """Tell whether a file says what stands for some device in the simulation."""
-    groups = tomllib.loads(path.read_text("utf-8")).values()
-    tables = [
-        each for group in groups if isinstance(group, dict) for each in group.values()
-    ]
-    return any(isinstance(table, dict) and "sim" in table for table in tables)
 
 
 def _parts(robot: esair.Robot) -> tuple[list[Any], list[Any]]:

@@ -15,11 +15,9 @@ from esair.actions import Behavior, Reaction
 from esair.exceptions import describe
 from esair.resources import Resource
 from esair.testing import DeadlockError, Leaks, LivelockError, VirtualLoop
-from esair.torture._boxes import Boxes
-from esair.torture._gate import Gate
-from esair.torture._judge import SLACK, Judge, Violation, protected_in
+from esair.torture._gate import Gate, Lever
+from esair.torture._judge import SLACK, Boxes, Judge, Violation, protected_in
 from esair.torture._kinds import KINDS, NotNowError
-from esair.torture._lever import Lever
 from esair.torture._life import (
     OF_LIFE,
     UNTOLD,
