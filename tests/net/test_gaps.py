@@ -148,6 +148,49 @@ async def test_what_waits_behind_a_write_does_not_leave_after_a_gap() -> None:
         assert await hand.wheels.write(Twist(0.3, 0.0))
 
 
+@pytest.mark.promise("NET-3", "NET-4")
+async def test_a_gap_refuses_and_loses_nothing() -> None:
+    """What is written into it is refused, at the latest by command_timeout; then it is over."""
+    pair, hand, loop = Pair(), Hand(), asyncio.get_running_loop()
+    async with pair.both(hand) as (_base, rover):
+        await asyncio.sleep(0.1)
+        pair.network.cut("base", keep=True)
+        begin = loop.time()
+        for _ in range(3):
+            refused = await hand.wheels.write(Twist(0.1, 0.0))
+            assert isinstance(refused, esair.Refused)
+            assert (refused.holder, "not heard" in refused.rule) == ("base", True)
+            assert loop.time() - begin <= TIMEOUT + 0.1
+        await asyncio.sleep(0.6)
+        healed = loop.time()
+        pair.network.heal()
+        while not await hand.wheels.write(Twist(0.2, 0.0)):
+            await asyncio.sleep(0.01)
+        assert loop.time() - healed < 0.1
+        assert rover.resources.query("far_wheels").losses == 0
+    assert Twist(0.1, 0.0) not in pair.wheels.commands
+
+
+@pytest.mark.promise("NET-3")
+async def test_a_peer_that_is_back_is_not_waited_for_long_again() -> None:
+    """What an opening meets right after a long cut does not make the next pause long."""
+    pair, driving, loop = Pair(delay=0.01), Driving(), asyncio.get_running_loop()
+    async with pair.both(driving) as (base, rover):
+        sent = listen(base)
+        pair.network.cut("base")
+        await asyncio.sleep(20.0)
+        pair.network.heal()
+        await pair.to_base._alive.wait()
+        pair.network.cut("base")  # before the wheels are let go there
+        await asyncio.sleep(0.7)
+        healed = loop.time()
+        pair.network.heal()
+        await asyncio.sleep(0.5)
+        assert [at for at, told in sent if at > healed and told != STILL]
+        state = rover.resources.query("far_sonar").state
+        assert state is esair.ResourceState.READY
+
+
 @pytest.mark.promise("NET-3")
 async def test_a_lost_peer_is_known_in_time_and_comes_back() -> None:
     """Its parts are LOST within 1.3 s of its silence, and READY again by themselves."""

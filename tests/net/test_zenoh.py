@@ -20,6 +20,9 @@ pytest.importorskip("zenoh")
 pytestmark = [pytest.mark.real_clock, pytest.mark.xdist_group("zenoh")]
 
 
+READY = esair.ResourceState.READY
+
+
 def over(pair: Pair, base: Network, rover: Network) -> Pair:
     """Put a pair on a network of its own."""
     pair.to_rover = PeerBus(name="rover", network=base)
@@ -79,7 +82,7 @@ def tls(folder: Path, file: str) -> Tls:
 
 async def ready(robot: esair.Robot, name: str, within: float) -> bool:
     end = time.monotonic() + within
-    while robot.resources.query(name).state is not esair.ResourceState.READY:
+    while robot.resources.query(name).state is not READY:
         if time.monotonic() > end:
             return False
         await asyncio.sleep(0.01)
@@ -118,6 +121,10 @@ async def test_the_owner_comes_later_and_again() -> None:
         for _ in range(2):
             async with pair.base():
                 await use(pair, hand, rover, 3)
+            # Else the next round could take the parts of the last one for its own.
+            async with asyncio.timeout(3.0):
+                while rover.resources.query("far_wheels").state is READY:
+                    await asyncio.sleep(0.001)
             again = Pair()
             again.network, pair.wheels, pair.sonar = (
                 pair.network,

@@ -287,14 +287,19 @@ class ResourceLife:
         """
         calls = self.device.calls
         opening = calls.opening
-        if error is not None and self.channel.state is not ResourceState.LOST:
+        is_loss = not isinstance(error, InterruptedError | None)
+        if is_loss and self.channel.state is not ResourceState.LOST:
             calls.lost = self._cause(error)
         self._told_of.tell(opening, error)
 
     def _hear_of(self, opening: int, error: BaseException | None) -> None:
         if error is None:
             self.hear(None)
-        elif opening == self.device.calls.opening:
+        elif opening != self.device.calls.opening:
+            return
+        elif isinstance(error, InterruptedError):  # the way to an actuator was cut
+            self.channel.withdraw()
+        else:
             self.hear(error)  # the loss of an earlier opening is no news
             self.device.calls.lost = None
 
@@ -309,6 +314,7 @@ class ResourceLife:
             return
         if (error is None) == (self.channel.state is ResourceState.READY):
             return  # an arrival of what is there, or a loss of what is not
+        self._arrived = error is None
         self._news.set_result(error)
         if error is not None:
             self._down(error)
@@ -358,6 +364,8 @@ class ResourceLife:
             await self._wait_for_news(
                 min(pause, FIRST_DELAY) if self._arrived else pause
             )
+            if self._arrived:
+                delay = FIRST_DELAY  # one that is back is not waited for long again
 
     def _first_try(self, error: BaseException | None = None) -> None:
         if not self.tried.done():

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from esair.loading import late
 
 if TYPE_CHECKING:
-    from esair.buses.peer._bus import BEAT, SILENCE, PeerBus, PeerNetwork
+    from esair.buses.peer._bus import BEAT, SILENCE, SILENT, PeerBus, PeerNetwork
     from esair.buses.peer._fake import FakeNetwork
     from esair.buses.peer._wire import Head, head_of, packed, parts_of
     from esair.buses.peer._zenoh import Network, Tls
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = [
     "BEAT",
     "SILENCE",
+    "SILENT",
     "FakeNetwork",
     "Head",
     "Network",
@@ -32,7 +33,7 @@ __all__ = [
 __getattr__, __dir__ = late(
     __name__,
     {
-        "_bus": "BEAT SILENCE PeerBus PeerNetwork",
+        "_bus": "BEAT SILENCE SILENT PeerBus PeerNetwork",
         "_fake": "FakeNetwork",
         "_wire": "Head head_of packed parts_of",
         "_zenoh": "Network Tls",

@@ -14,7 +14,7 @@ import secrets
 from collections.abc import Awaitable, Callable
 from typing import Any, Protocol
 
-from esair.buses._bus import Bus, listen
+from esair.buses._bus import Bus
 from esair.buses._inbox import Inbox
 from esair.buses.peer._wire import FOR_OWNER, FORMS, Head, head_of, packed, parts_of
 from esair.codec import CodecError, Kinds, declared
@@ -94,9 +94,8 @@ class PeerBus(Bus):
         self._heard_at = self._beat_at = NEVER
         self._alive = asyncio.Event()
         self._beating: asyncio.Task[None] | None = None
-        self._on_gap: list[Callable[[float], None]] = []
         self._numbers = itertools.count(secrets.randbits(31) << 20)
-        self._pending: dict[int, asyncio.Future[tuple[str, Any]]] = {}
+        self._pending: dict[int, tuple[asyncio.Future[tuple[str, Any]], float]] = {}
         self._progress: dict[int, Callable[[Any], object]] = {}
         self._followed: dict[str, tuple[float, Inbox[Any]]] = {}
 
@@ -153,8 +152,10 @@ class PeerBus(Bus):
             silent = loop.time() - self._heard_at
             if self._alive.is_set() and silent > SILENCE:
                 self._gone(f"no echo of a beat for {silent:.2g} s")
-            elif self.is_open and self._beats % _FOLLOW_AGAIN == 0:
-                self._tell_followed()
+            else:
+                self._was_silent(loop.time() - self._beat_at)
+                if self.is_open and self._beats % _FOLLOW_AGAIN == 0:
+                    self._tell_followed()
             await asyncio.sleep(BEAT)
 
     def _gone(self, told: str) -> None:
@@ -167,15 +168,14 @@ class PeerBus(Bus):
     def lost(self, error: BaseException) -> None:
         """Tell everybody on the bus, and whoever waits for an answer."""
         super().lost(error)
-        for future in self._pending.values():
+        for future, _ in self._pending.values():
             fail(future, DeviceLostError(self.name, describe(error)))
 
-    def on_gap(self, listener: Callable[[float], None]) -> Callable[[], None]:
-        """Call a function with the seconds between two beats of the peer, when one comes.
-
-        Returns how to stop that.
-        """
-        return listen(self._on_gap, listener)
+    def _was_silent(self, seconds: float) -> None:
+        """End what does not wait for its answer behind such a gap."""
+        for future, patience in self._pending.values():
+            if seconds > patience:
+                arrive(future, ("silent", seconds))
 
     # What comes.
 
@@ -197,10 +197,8 @@ class PeerBus(Bus):
             if self._alive.is_set():
                 self._gone("it has restarted")
         if head.beat > self._its_beat:
-            gap, self._its_beat, self._beat_at = now - self._beat_at, head.beat, now
-            if self.is_open:
-                for listener in tuple(self._on_gap):
-                    listener(gap)
+            self._was_silent(now - self._beat_at)
+            self._its_beat, self._beat_at = head.beat, now
         if head.echo_run == self._run and head.echo > self._beats:
             # A number came there that was never sent: count on from it, or what is
             # sent from now on stays unheard.
@@ -270,11 +268,10 @@ class PeerBus(Bus):
     def _hand_on(self, what: str, sent: float, parts: tuple[Any, ...]) -> None:
         if what == "answer":
             number, how, value = parts
-            future = self._pending.get(number)
-            if future is None:
-                self.stats.late += 1
+            if number in self._pending:
+                arrive(self._pending[number][0], (how, value))
             else:
-                arrive(future, (how, value))
+                self.stats.late += 1
         elif what == "progress":
             number, value = parts
             self._progress.get(number, _unheard)(value)
@@ -317,8 +314,12 @@ class PeerBus(Bus):
         what: str,
         *parts: Any,
         progress: Callable[[Any], object] | None = None,
+        patience: float = math.inf,
     ) -> tuple[str, Any]:
         """Send what is answered, and wait for the answer: how it ended, and with what.
+
+        When no beat comes for longer than the patience, in seconds, it ends as ``"silent"``,
+        with how long; nothing is sent into such a gap.
 
         Raises:
             DeviceLostError: The peer was lost before it has answered.
@@ -329,10 +330,13 @@ class PeerBus(Bus):
             raise DeviceLostError(self.name, "it is not there")
         if len(self._pending) >= _PENDING:
             raise BusyError(self.name, "number of requests to a peer", _PENDING)
+        silent = asyncio.get_running_loop().time() - self._beat_at
+        if silent > patience:
+            return "silent", silent
         number = next(self._numbers)
         future: asyncio.Future[tuple[str, Any]]
         future = asyncio.get_running_loop().create_future()
-        self._pending[number] = future
+        self._pending[number] = future, patience
         if progress is not None:
             self._progress[number] = progress
         try:

@@ -208,16 +208,17 @@ class Network:
         yield "connect/timeout_ms", -1  # for ever, in the background
         yield "connect/exit_on_failure", False
         retry = {
-            "period_init_ms": 100,
-            "period_max_ms": 250,
+            "period_init_ms": 20,
+            "period_max_ms": 50,
             "period_increase_factor": 2,
         }
         yield "connect/retry", retry
         yield "transport/shared_memory/enabled", False
         yield "transport/link/protocols", ["tcp" if self.tls is None else "tls"]
-        # A way that a cut has broken is made anew: TCP alone would wait ever longer.
-        yield "transport/link/tx/lease", 1200
-        yield "transport/unicast/open_timeout", 1000
+        # A way that a cut has broken is made anew: TCP alone would wait ever longer, and
+        # for a connection that it begins in the cut a whole second.
+        yield "transport/link/tx/lease", 300
+        yield "transport/unicast/open_timeout", 300
         if self.tls is not None:
             certificate, key = str(self.tls.certificate), str(self.tls.key)
             yield (
