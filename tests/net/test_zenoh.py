@@ -80,9 +80,12 @@ def tls(folder: Path, file: str) -> Tls:
     return Tls(folder / "ca.pem", folder / f"{file}.pem", folder / f"{file}.key")
 
 
-async def ready(robot: esair.Robot, name: str, within: float) -> bool:
+async def is_ready(
+    robot: esair.Robot, name: str, within: float, *, wanted: bool = True
+) -> bool:
+    """Wait until something is ready, or is not; tell whether it came to that."""
     end = time.monotonic() + within
-    while robot.resources.query(name).state is not READY:
+    while (robot.resources.query(name).state is READY) is not wanted:
         if time.monotonic() > end:
             return False
         await asyncio.sleep(0.01)
@@ -91,8 +94,8 @@ async def ready(robot: esair.Robot, name: str, within: float) -> bool:
 
 async def use(pair: Pair, hand: Hand, rover: Any, writes: int = 20) -> float:
     """Use everything of the peer; return how long a write and its answer take."""
-    assert await ready(rover, "far_wheels", 3.0), rover.resources.query("base").error
-    assert await ready(rover, "far_sonar", 3.0)
+    assert await is_ready(rover, "far_wheels", 3.0), rover.resources.query("base").error
+    assert await is_ready(rover, "far_sonar", 3.0)
     pair.docking.go.set()
     assert (await hand.ask("far_docking", Dock(2))).bay == 2
     took = []
@@ -122,9 +125,7 @@ async def test_the_owner_comes_later_and_again() -> None:
             async with pair.base():
                 await use(pair, hand, rover, 3)
             # Else the next round could take the parts of the last one for its own.
-            async with asyncio.timeout(3.0):
-                while rover.resources.query("far_wheels").state is READY:
-                    await asyncio.sleep(0.001)
+            assert await is_ready(rover, "far_wheels", 3.0, wanted=False)
             again = Pair()
             again.network, pair.wheels, pair.sonar = (
                 pair.network,
@@ -177,6 +178,6 @@ async def refused(certificates: Path, who: str) -> None:
         rover = Network(me="rover", peers=["base"], connect=[end.replace("tls", "tcp")])
     pair, hand = over(Pair(), base, rover), Hand()
     async with pair.base(), pair.rover(hand) as robot:
-        assert not await ready(robot, "far_wheels", 0.7)
+        assert not await is_ready(robot, "far_wheels", 0.7)
         assert pair.to_rover.stats.received == 0
         assert pair.to_base.stats.received == 0

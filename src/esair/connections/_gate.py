@@ -247,10 +247,7 @@ def shut(
         return StoppingError(device.name, "stopping")
     halt = table.halt
     if halt is None and asked is not None and asked != gate.halts:
-        told = (
-            "it was asked for before the robot was halted, its computer slept, or the "
-            "way to the device was cut"
-        )
+        told = "it was asked for before the robot was halted, or its computer slept"
         halt = Halt(told, now)
     if halt is not None:
         return Refused(HALT, HALT_PRIORITY, halt.reason, halt.since, None)

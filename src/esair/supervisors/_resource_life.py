@@ -287,19 +287,14 @@ class ResourceLife:
         """
         calls = self.device.calls
         opening = calls.opening
-        is_loss = not isinstance(error, InterruptedError | None)
-        if is_loss and self.channel.state is not ResourceState.LOST:
+        if error is not None and self.channel.state is not ResourceState.LOST:
             calls.lost = self._cause(error)
         self._told_of.tell(opening, error)
 
     def _hear_of(self, opening: int, error: BaseException | None) -> None:
         if error is None:
             self.hear(None)
-        elif opening != self.device.calls.opening:
-            return
-        elif isinstance(error, InterruptedError):  # the way to an actuator was cut
-            self.channel.withdraw()
-        else:
+        elif opening == self.device.calls.opening:
             self.hear(error)  # the loss of an earlier opening is no news
             self.device.calls.lost = None
 

@@ -12,10 +12,10 @@ import itertools
 import math
 import secrets
 from collections.abc import Awaitable, Callable
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from esair.buses._bus import Bus
-from esair.buses._inbox import Inbox
+from esair.buses._inbox import Inbox, within
 from esair.buses.peer._wire import FOR_OWNER, FORMS, Head, head_of, packed, parts_of
 from esair.codec import CodecError, Kinds, declared
 from esair.exceptions import (
@@ -46,6 +46,14 @@ NEVER = -math.inf
 
 Send = Callable[[str, bytes], None]
 Serve = Callable[[str, float, bytes], object]
+
+
+class _Request(NamedTuple):
+    """What waits for its answer, as long as the peer is not silent for too long."""
+
+    outcome: asyncio.Future[tuple[str, Any]]
+    patience: float
+    progress: Callable[[Any], object]
 
 
 class PeerNetwork(Protocol):
@@ -92,11 +100,11 @@ class PeerBus(Bus):
         self._its_run = self._its_beat = 0
         self._over: collections.deque[int] = collections.deque(maxlen=8)
         self._heard_at = self._beat_at = NEVER
+        self._gap, self._gap_at = 0.0, 0  # the last one, and the own beat at its end
         self._alive = asyncio.Event()
         self._beating: asyncio.Task[None] | None = None
         self._numbers = itertools.count(secrets.randbits(31) << 20)
-        self._pending: dict[int, tuple[asyncio.Future[tuple[str, Any]], float]] = {}
-        self._progress: dict[int, Callable[[Any], object]] = {}
+        self._pending: dict[int, _Request] = {}
         self._followed: dict[str, tuple[float, Inbox[Any]]] = {}
 
     def declare(self, kind: Any) -> None:
@@ -106,8 +114,7 @@ class PeerBus(Bus):
     def _declare_late(self, kinds: Kinds) -> None:
         while self._undeclared:
             kind = self._undeclared.pop()
-            kinds.add(kind)
-            for each in declared(kind) if isinstance(kind, type) else ():
+            for each in (kind, *(declared(kind) if isinstance(kind, type) else ())):
                 kinds.add(each)
 
     # Its life: it beats from the first opening to its end, whether the peer is there or not.
@@ -152,10 +159,8 @@ class PeerBus(Bus):
             silent = loop.time() - self._heard_at
             if self._alive.is_set() and silent > SILENCE:
                 self._gone(f"no echo of a beat for {silent:.2g} s")
-            else:
-                self._was_silent(loop.time() - self._beat_at)
-                if self.is_open and self._beats % _FOLLOW_AGAIN == 0:
-                    self._tell_followed()
+            elif self.is_open and self._beats % _FOLLOW_AGAIN == 0:
+                self._tell_followed()
             await asyncio.sleep(BEAT)
 
     def _gone(self, told: str) -> None:
@@ -168,14 +173,22 @@ class PeerBus(Bus):
     def lost(self, error: BaseException) -> None:
         """Tell everybody on the bus, and whoever waits for an answer."""
         super().lost(error)
-        for future, _ in self._pending.values():
-            fail(future, DeviceLostError(self.name, describe(error)))
+        for each in self._pending.values():
+            fail(each.outcome, DeviceLostError(self.name, describe(error)))
 
-    def _was_silent(self, seconds: float) -> None:
-        """End what does not wait for its answer behind such a gap."""
-        for future, patience in self._pending.values():
-            if seconds > patience:
-                arrive(future, ("silent", seconds))
+    def silence(self) -> float:
+        """Return for how long nothing was heard, in seconds.
+
+        A gap counts for two beats more: then what is from before it has had its turn.
+        """
+        now = asyncio.get_running_loop().time() - self._beat_at
+        return max(now, self._gap if self._beats < self._gap_at + 2 else 0.0)
+
+    def _give_up(self, seconds: float) -> None:
+        """End what does not wait for its answer through such a gap."""
+        for each in self._pending.values():
+            if seconds > each.patience:
+                arrive(each.outcome, ("silent", seconds))
 
     # What comes.
 
@@ -197,8 +210,10 @@ class PeerBus(Bus):
             if self._alive.is_set():
                 self._gone("it has restarted")
         if head.beat > self._its_beat:
-            self._was_silent(now - self._beat_at)
+            if 2.0 * BEAT < (gap := now - self._beat_at) < math.inf:
+                self._gap, self._gap_at = gap, self._beats
             self._its_beat, self._beat_at = head.beat, now
+            self._give_up(gap)
         if head.echo_run == self._run and head.echo > self._beats:
             # A number came there that was never sent: count on from it, or what is
             # sent from now on stays unheard.
@@ -248,12 +263,10 @@ class PeerBus(Bus):
         """Answer what comes before this robot is ready to serve, or after."""
         self.stats.unheard += 1
         parts, told = self.parts(what, body), f"{self.network.me!r} shares nothing now"
-        if parts is None or what == "cancel":
-            return
-        if what == "follow":
+        if parts is not None and what == "follow":
             for name in parts[0]:
                 self.say("gone", str(name), told)
-        else:
+        elif parts is not None and what != "cancel":
             self.say("answer", parts[0], "declined" if what == "ask" else "lost", told)
 
     def parts(self, what: str, body: bytes) -> tuple[Any, ...] | None:
@@ -266,15 +279,13 @@ class PeerBus(Bus):
             return None
 
     def _hand_on(self, what: str, sent: float, parts: tuple[Any, ...]) -> None:
-        if what == "answer":
-            number, how, value = parts
-            if number in self._pending:
-                arrive(self._pending[number][0], (how, value))
-            else:
+        if what in {"answer", "progress"}:
+            if (request := self._pending.get(parts[0])) is None:
                 self.stats.late += 1
-        elif what == "progress":
-            number, value = parts
-            self._progress.get(number, _unheard)(value)
+            elif what == "answer":
+                arrive(request.outcome, parts[1:])
+            else:
+                request.progress(parts[1])
         else:
             wanted = self._followed.get(parts[0])
             if wanted is None:
@@ -313,13 +324,13 @@ class PeerBus(Bus):
         self,
         what: str,
         *parts: Any,
-        progress: Callable[[Any], object] | None = None,
+        progress: Callable[[Any], object] = lambda _: None,
         patience: float = math.inf,
     ) -> tuple[str, Any]:
         """Send what is answered, and wait for the answer: how it ended, and with what.
 
-        When no beat comes for longer than the patience, in seconds, it ends as ``"silent"``,
-        with how long; nothing is sent into such a gap.
+        With no answer for as long as the patience, in seconds, it ends as ``"silent"``,
+        with how long; no command is sent into a gap that is longer.
 
         Raises:
             DeviceLostError: The peer was lost before it has answered.
@@ -330,24 +341,21 @@ class PeerBus(Bus):
             raise DeviceLostError(self.name, "it is not there")
         if len(self._pending) >= _PENDING:
             raise BusyError(self.name, "number of requests to a peer", _PENDING)
-        silent = asyncio.get_running_loop().time() - self._beat_at
-        if silent > patience:
+        if what == "write" and (silent := self.silence()) > patience:
             return "silent", silent
         number = next(self._numbers)
-        future: asyncio.Future[tuple[str, Any]]
-        future = asyncio.get_running_loop().create_future()
-        self._pending[number] = future, patience
-        if progress is not None:
-            self._progress[number] = progress
+        outcome = asyncio.get_running_loop().create_future()
+        self._pending[number] = _Request(outcome, patience, progress)
         try:
             self.say(what, number, *parts)
-            return await future
+            return await within(outcome, None if patience == math.inf else patience)
+        except TimeoutError:
+            return "silent", patience
         except asyncio.CancelledError:
             self.say("cancel", number)
             raise
         finally:
             del self._pending[number]
-            self._progress.pop(number, None)
 
     def follow(self, sensor: str, rate: float) -> Inbox[Any]:
         """Ask for the readings of a sensor, until the inbox is closed."""
@@ -369,7 +377,3 @@ class PeerBus(Bus):
         self._serve = serve
         if serve is not None and self._alive.is_set():
             self.say("ready")
-
-
-def _unheard(_: Any) -> None:
-    """Nobody wants to know how far it is."""

@@ -12,7 +12,6 @@ import json
 import logging
 import re
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -179,7 +178,7 @@ class Network:
             import zenoh
 
             config = zenoh.Config()
-            for key, value in self.settings():
+            for key, value in self.settings().items():
                 config.insert_json5(key, json.dumps(value))
             self._session = await open_on(
                 bus.executor,
@@ -197,72 +196,63 @@ class Network:
         finally:
             self._opening = None
 
-    def settings(self) -> Iterator[tuple[str, Any]]:
-        """Yield what zenoh is told, by the names of its configuration."""
-        yield "mode", "peer"
-        yield "scouting/multicast/enabled", False
-        yield "scouting/gossip/enabled", False
-        yield "listen/endpoints", list(self.listen)
-        yield "connect/endpoints", list(self.connect)
-        yield "scouting/delay", 0
-        yield "connect/timeout_ms", -1  # for ever, in the background
-        yield "connect/exit_on_failure", False
-        retry = {
-            "period_init_ms": 20,
-            "period_max_ms": 50,
-            "period_increase_factor": 2,
+    def settings(self) -> dict[str, Any]:
+        """Return what zenoh is told, by the names of its configuration."""
+        told: dict[str, Any] = {
+            "mode": "peer",
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": False,
+            "listen/endpoints": self.listen,
+            "connect/endpoints": self.connect,
+            "scouting/delay": 0,
+            "connect/timeout_ms": -1,  # for ever, in the background
+            "connect/exit_on_failure": False,
+            "connect/retry": {"period_init_ms": 20, "period_max_ms": 50},
+            "transport/shared_memory/enabled": False,
+            "transport/link/protocols": ["tcp" if self.tls is None else "tls"],
+            # A way that a cut has broken is made anew: TCP alone would wait ever longer,
+            # and for a connection that it begins in the cut a whole second.
+            "transport/link/tx/lease": 300,
+            "transport/unicast/open_timeout": 300,
         }
-        yield "connect/retry", retry
-        yield "transport/shared_memory/enabled", False
-        yield "transport/link/protocols", ["tcp" if self.tls is None else "tls"]
-        # A way that a cut has broken is made anew: TCP alone would wait ever longer, and
-        # for a connection that it begins in the cut a whole second.
-        yield "transport/link/tx/lease", 300
-        yield "transport/unicast/open_timeout", 300
-        if self.tls is not None:
-            certificate, key = str(self.tls.certificate), str(self.tls.key)
-            yield (
-                "transport/link/tls",
-                {
-                    "root_ca_certificate": str(self.tls.ca),
-                    "listen_certificate": certificate,
-                    "listen_private_key": key,
-                    "connect_certificate": certificate,
-                    "connect_private_key": key,
-                    "enable_mtls": True,
-                    # Who it is says the certificate, not the address: see the rules.
-                    "verify_name_on_connect": False,
-                    "close_link_on_expiration": True,
-                },
-            )
-            yield "access_control", self._rules()
-
-    def _rules(self) -> dict[str, Any]:
-        """Return which keys are open to which certificate; all others are shut."""
-        rules: list[Any] = []
-        subjects: list[Any] = []
-        policies: list[Any] = []
-        for peer in self.peers:
-            subjects.append({"id": peer, "cert_common_names": [peer]})
-            mine = key_of(self.me, peer, "*"), key_of(peer, self.me, "*")
-            names = []
-            for flow, said, heard in (("ingress", *mine), ("egress", *mine[::-1])):
-                for kind, key in (("put", said), ("declare_subscriber", heard)):
-                    names.append(f"{peer} {flow} {kind}")
-                    rules.append(
-                        {
-                            "id": names[-1],
-                            "permission": "allow",
-                            "flows": [flow],
-                            "messages": [kind],
-                            "key_exprs": [key],
-                        }
-                    )
-            policies.append({"rules": names, "subjects": [peer]})
-        return {
+        if self.tls is None:
+            return told
+        mine = {"certificate": self.tls.certificate, "private_key": self.tls.key}
+        told["transport/link/tls"] = {
+            "root_ca_certificate": str(self.tls.ca),
+            **{f"listen_{name}": str(file) for name, file in mine.items()},
+            **{f"connect_{name}": str(file) for name, file in mine.items()},
+            "enable_mtls": True,
+            # Who it is says the certificate, not the address: see the rules.
+            "verify_name_on_connect": False,
+            "close_link_on_expiration": True,
+        }
+        rules = {peer: self._rules(peer) for peer in self.peers}
+        names = {peer: [rule["id"] for rule in rules[peer]] for peer in rules}
+        told["access_control"] = {
             "enabled": True,
             "default_permission": "deny",
-            "rules": rules,
-            "subjects": subjects,
-            "policies": policies,
+            "rules": [rule for peer in rules for rule in rules[peer]],
+            "subjects": [{"id": peer, "cert_common_names": [peer]} for peer in rules],
+            "policies": [{"rules": names[peer], "subjects": [peer]} for peer in rules],
         }
+        return told
+
+    def _rules(self, peer: str) -> list[dict[str, Any]]:
+        """Return which keys are open to the certificate of a peer; all others are shut."""
+        said, heard = key_of(self.me, peer, "*"), key_of(peer, self.me, "*")
+        return [
+            {
+                "id": f"{peer} {flow} {kind}",
+                "permission": "allow",
+                "flows": [flow],
+                "messages": [kind],
+                "key_exprs": [key],
+            }
+            for flow, kind, key in (
+                ("ingress", "put", said),
+                ("ingress", "declare_subscriber", heard),
+                ("egress", "put", heard),
+                ("egress", "declare_subscriber", said),
+            )
+        ]

@@ -199,12 +199,16 @@ class PeerActuator(Actuator[Any]):
         """The type of its commands."""
         return self._type
 
+    async def open(self) -> None:
+        """Begin anew: whether it is shared says the answer to the first release."""
+        self._is_known = False
+
     async def write(self, command: Any) -> Any:
         """Send a command with the newest beat heard, and wait for what its owner says.
 
         Returns:
             What was applied there, or a refusal with the holder there; a refusal of the
-            peer while no beat has come for longer than the command time-out.
+            peer where nothing was heard for longer than the command time-out.
 
         Raises:
             DeviceLostError: The peer is lost, or does not share it.
@@ -218,15 +222,15 @@ class PeerActuator(Actuator[Any]):
         now = clock_of(asyncio.get_running_loop())()
         match how, value:
             case "silent", _ if command is HOLD:
-                return None  # then its owner lets it go by itself
+                if not self._is_known:
+                    told = f"{bus.name!r} says nothing of {self.remote!r}"
+                    raise DeviceLostError(self.name, told)
+                return None  # its owner lets it go by itself
             case "silent", float(seconds):
-                if self._listener is not None:  # what waits behind it is as old
-                    self._listener(InterruptedError())
-                told = (
-                    f"it was not heard for {seconds:.2g} s: what came of it is unknown"
-                )
+                told = f"no answer for {seconds:.2g} s: what came of it is unknown"
                 return Refused(bus.name, 0, told, now - seconds, None)
             case "written", _:
+                self._is_known = True
                 return value
             case "refused", (
                 str(holder),
