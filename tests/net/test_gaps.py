@@ -197,8 +197,9 @@ async def test_the_owner_was_stopped_amid_a_turn(
             "esair.connections._actuator_channel.clock_beside",
             lambda loop: lambda: loop.time() + 0.3,
         )
-        assert not await hand.wheels.write(Twist(0.1, 0.0))
-        assert pair.to_rover.stats.refused == 1
+        refused = await hand.wheels.write(Twist(0.1, 0.0))
+        assert isinstance(refused, esair.Refused)
+        assert "expired" in refused.rule
     assert Twist(0.1, 0.0) not in pair.wheels.commands
 
 
