@@ -184,8 +184,10 @@ class PeerBus(Bus):
         now = asyncio.get_running_loop().time() - self._beat_at
         return max(now, self._gap if self._beats < self._gap_at + 2 else 0.0)
 
-    def _give_up(self, seconds: float) -> None:
+    def _over_gap(self, seconds: float) -> None:
         """End what does not wait for its answer through such a gap."""
+        if seconds > 2.0 * BEAT:
+            self._gap, self._gap_at = seconds, self._beats
         for each in self._pending.values():
             if seconds > each.patience:
                 arrive(each.outcome, ("silent", seconds))
@@ -210,10 +212,9 @@ class PeerBus(Bus):
             if self._alive.is_set():
                 self._gone("it has restarted")
         if head.beat > self._its_beat:
-            if 2.0 * BEAT < (gap := now - self._beat_at) < math.inf:
-                self._gap, self._gap_at = gap, self._beats
+            if self._alive.is_set():
+                self._over_gap(now - self._beat_at)
             self._its_beat, self._beat_at = head.beat, now
-            self._give_up(gap)
         if head.echo_run == self._run and head.echo > self._beats:
             # A number came there that was never sent: count on from it, or what is
             # sent from now on stays unheard.

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import os
 import re
 import threading
 from pathlib import Path
@@ -35,6 +36,13 @@ _WAITING: Final = 512
 """How many messages of a peer may wait for the loop; what comes then is dropped."""
 
 _OPENING: Final = 1.5  # how long a session may take to open, in seconds
+
+_THREADS: Final = "".join(
+    f"{name}: (worker_threads: {count}), "
+    for name, count in (("rx", 6), ("tx", 2), ("net", 2), ("acc", 2))
+)
+"""Threads of zenoh. It closes a socket with a wait for what is sent: after a cut, that holds
+one of them up for seconds, and those that share it."""
 
 
 _log = logging.getLogger("esair")
@@ -175,6 +183,7 @@ class Network:
 
     async def _open(self, bus: PeerBus) -> None:
         try:
+            os.environ.setdefault("ZENOH_RUNTIME", f"({_THREADS})")  # it is read once
             import zenoh
 
             config = zenoh.Config()
