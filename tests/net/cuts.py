@@ -34,6 +34,9 @@ from esair.peers import Share, Sharing
 from esair.testing import FakeActuator
 
 TIMEOUT = 0.2
+KINDS = ("cut", "from base", "from rover", "stop 0", "stop 1")
+"""What is cut: the way, one direction of it, and the process of the base or the rover."""
+
 ADDRESSES = {"base": "10.77.0.1", "rover": "10.77.0.2"}
 
 
@@ -229,7 +232,7 @@ def cuts(
     loss: float = 0.0,
     certificates: str = "",
     lengths: tuple[float, float] = (0.1, 10.0),
-    kinds: tuple[str, ...] = ("cut", "from base", "from rover", "stop 0", "stop 1"),
+    kinds: tuple[str, ...] = KINDS,
 ) -> Iterator[Cut]:
     """Cut the way, and stop the robots, so many times."""
     chance = random.Random(seed)
@@ -294,13 +297,12 @@ def main() -> None:
     parser.add_argument("--delay", type=float, default=0.005)
     parser.add_argument("--loss", type=float, default=0.0)
     parser.add_argument("--lengths", type=float, nargs=2, default=(0.1, 10.0))
-    parser.add_argument("--kinds", default="")
+    parser.add_argument("--kinds", default=",".join(KINDS))
     given = parser.parse_args()
     if given.be is not None:
         robot = {"base": base, "rover": rover}[given.be](given.certificates)
         esair.run(robot)
         return
-    more = {"kinds": tuple(given.kinds.split(","))} if given.kinds else {}
     for cut in cuts(
         given.cuts,
         seed=given.seed,
@@ -308,7 +310,7 @@ def main() -> None:
         loss=given.loss,
         certificates=given.certificates,
         lengths=given.lengths,
-        **more,
+        kinds=tuple(given.kinds.split(",")),
     ):
         told = (cut.kind, cut.length, cut.old, cut.safe, cut.fresh)
         sys.stdout.write(json.dumps(told) + "\n")
