@@ -327,6 +327,27 @@ async def test_a_request_whose_answer_is_lost_is_not_known() -> None:
         assert pair.docking.begun == [2, 4]
 
 
+@pytest.mark.promise("NET-3")
+@pytest.mark.parametrize("way", ["ask", "answer"])
+async def test_a_message_that_is_lost_without_a_gap_ends_its_request(way: str) -> None:
+    """A connection is made anew within a second: what was on it is not known."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand):
+        if way == "ask":
+            pair.network.cut("base")
+        asked = asyncio.ensure_future(hand.ask("far_docking", Dock(2), timeout=None))
+        await asyncio.sleep(0.1)
+        pair.network.cut("base")
+        pair.docking.go.set()
+        await asyncio.sleep(0.3)
+        pair.network.heal()
+        async with asyncio.timeout(1.5):
+            with pytest.raises(esair.OutcomeUnknownError, match="not known there"):
+                await asked
+        assert pair.docking.begun == ([2] if way == "answer" else [])
+        assert await hand.ask("far_docking", Dock(3))
+
+
 async def test_each_request_has_its_one_outcome() -> None:
     """Answered, refused, failed; withdrawn ends the work there."""
     pair, hand = Pair(), Hand()

@@ -49,6 +49,7 @@ class _Network:
     connect: tuple[str, ...] = ()
     tls: _Tls | None = None
     insecure: bool = False
+    connect_timeout: float = 0.3
 
 
 @attrs.frozen
@@ -178,6 +179,7 @@ def add_buses(draft: Draft, peers: Peers | None) -> None:
             connect=told.connect,
             tls=None if told.tls is None else Tls(**attrs.asdict(told.tls)),
             insecure=told.insecure,
+            connect_timeout=told.connect_timeout,
         )
     except Exception as error:
         mistakes.caught("network", error, "the network")

@@ -151,6 +151,10 @@ class Sharing(Behavior):
                 elif what == "cancel":
                     if parts[0] in self._asks:
                         self._asks[parts[0]].cancel()
+                elif what == "pending":
+                    for number in parts[0]:
+                        if type(number) is int and number not in self._asks:
+                            self._answer(number, "lost", "it is not known there")
                 elif what == "lost":
                     for task in (*self._feeds.values(), *self._asks.values()):
                         task.cancel()

@@ -54,6 +54,7 @@ class _Request(NamedTuple):
     outcome: asyncio.Future[tuple[str, Any]]
     patience: float
     progress: Callable[[Any], object]
+    is_ask: bool
 
 
 class PeerNetwork(Protocol):
@@ -161,6 +162,9 @@ class PeerBus(Bus):
                 self._gone(f"no echo of a beat for {silent:.2g} s")
             elif self.is_open and self._beats % _FOLLOW_AGAIN == 0:
                 self._tell_followed()
+                asks = [n for n, each in self._pending.items() if each.is_ask]
+                if asks:  # a message may be lost with a connection, and no gap tells
+                    self.say("pending", asks)
             await asyncio.sleep(BEAT)
 
     def _gone(self, told: str) -> None:
@@ -267,6 +271,9 @@ class PeerBus(Bus):
         if parts is not None and what == "follow":
             for name in parts[0]:
                 self.say("gone", str(name), told)
+        elif parts is not None and what == "pending":
+            for number in parts[0]:
+                self.say("answer", number, "lost", told)
         elif parts is not None and what != "cancel":
             self.say("answer", parts[0], "declined" if what == "ask" else "lost", told)
 
@@ -346,7 +353,7 @@ class PeerBus(Bus):
             return "silent", silent
         number = next(self._numbers)
         outcome = asyncio.get_running_loop().create_future()
-        self._pending[number] = _Request(outcome, patience, progress)
+        self._pending[number] = _Request(outcome, patience, progress, what == "ask")
         try:
             self.say(what, number, *parts)
             return await within(outcome, None if patience == math.inf else patience)

@@ -81,6 +81,8 @@ class Network:
         tls: The certificates; without them endpoints have to be on this machine.
         insecure: Endpoints elsewhere without certificates: everybody who gets there can
             read and say everything.
+        connect_timeout: How long one try to connect may take, in seconds: it has to be four
+            times the way there and back, and after a cut that is how long it takes.
     """
 
     me: str
@@ -89,6 +91,7 @@ class Network:
     connect: tuple[str, ...] = attrs.field(default=(), converter=_paths)
     tls: Tls | None = None
     insecure: bool = False
+    connect_timeout: float = attrs.field(default=0.3, converter=float)
     _users: set[str] = attrs.field(factory=set, init=False)
     _session: Any = attrs.field(default=None, init=False)
     _opening: asyncio.Task[Any] | None = attrs.field(default=None, init=False)
@@ -100,6 +103,9 @@ class Network:
         if not self.listen and not self.connect:
             told = "expected endpoints: listen = [...], connect = [...], or both"
             raise ConfigError("network", "", told)
+        if not 0.05 <= self.connect_timeout <= 10.0:
+            told = f"expected 0.05 to 10 s, not {self.connect_timeout!r}"
+            raise ConfigError("network", "connect_timeout", told)
         for field in ("listen", "connect"):
             for endpoint in getattr(self, field):
                 if (wrong := self._wrong(endpoint)) is not None:
@@ -222,7 +228,7 @@ class Network:
             # A way that a cut has broken is made anew: TCP alone would wait ever longer,
             # and for a connection that it begins in the cut a whole second.
             "transport/link/tx/lease": 300,
-            "transport/unicast/open_timeout": 300,
+            "transport/unicast/open_timeout": round(1000 * self.connect_timeout),
         }
         if self.tls is None:
             return told
