@@ -281,7 +281,8 @@ def _link(
     """Add a link: its form is of a class, and has the paths of its fields."""
     from esair.buses.ros import Link, form_of
 
-    told, kind, more = entry.told, entry.kind, {}
+    told, kind = entry.told, entry.kind
+    more: dict[str, Any] = {}
     try:
         if isinstance(told, _Topic):
             fixed = dict(told.fixed)
