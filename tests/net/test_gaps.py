@@ -148,6 +148,81 @@ async def test_what_waits_behind_a_write_does_not_leave_after_a_gap() -> None:
         assert await hand.wheels.write(Twist(0.3, 0.0))
 
 
+@pytest.mark.promise("NET-3", "NET-4")
+async def test_a_gap_refuses_and_loses_nothing() -> None:
+    """What is written into it is refused, at the latest by command_timeout; then it is over."""
+    pair, hand, loop = Pair(), Hand(), asyncio.get_running_loop()
+    async with pair.both(hand) as (_base, rover):
+        await asyncio.sleep(0.1)
+        pair.network.cut("base", keep=True)
+        begin = loop.time()
+        for _ in range(3):
+            refused = await hand.wheels.write(Twist(0.1, 0.0))
+            assert isinstance(refused, esair.Refused)
+            assert (refused.holder, "no answer" in refused.rule) == ("base", True)
+            assert loop.time() - begin <= TIMEOUT + 0.001
+            begin = loop.time()
+        await asyncio.sleep(0.2)
+        pair.network.heal()
+        await asyncio.sleep(0.15)  # two beats
+        assert await hand.wheels.write(Twist(0.2, 0.0))
+        assert rover.resources.query("far_wheels").losses == 0
+    assert Twist(0.1, 0.0) not in pair.wheels.commands
+
+
+@pytest.mark.promise("NET-4")
+async def test_what_was_decided_before_the_gap_was_noticed_is_refused() -> None:
+    """The program that uses a peer was stopped amid a turn: it goes on with old commands."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand):
+        pair.network.cut("base", keep=True)
+        await asyncio.sleep(0.4)
+        pair.network.heal()
+        for _ in range(2):
+            assert not await hand.wheels.write(Twist(0.1, 0.0))
+            await asyncio.sleep(0.02)
+        await asyncio.sleep(0.1)
+        assert await hand.wheels.write(Twist(0.2, 0.0))
+    assert Twist(0.1, 0.0) not in pair.wheels.commands
+
+
+@pytest.mark.promise("NET-4")
+async def test_the_owner_was_stopped_amid_a_turn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A command that was fresh when the turn began is judged by the clock itself."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand):
+        monkeypatch.setattr(
+            "esair.connections._actuator_channel.clock_beside",
+            lambda loop: lambda: loop.time() + 0.3,
+        )
+        refused = await hand.wheels.write(Twist(0.1, 0.0))
+        assert isinstance(refused, esair.Refused)
+        assert "expired" in refused.rule
+    assert Twist(0.1, 0.0) not in pair.wheels.commands
+
+
+@pytest.mark.promise("NET-3")
+async def test_a_peer_that_is_back_is_not_waited_for_long_again() -> None:
+    """What an opening meets right after a long cut does not make the next pause long."""
+    pair, driving, loop = Pair(delay=0.01), Driving(), asyncio.get_running_loop()
+    async with pair.both(driving) as (base, rover):
+        sent = listen(base)
+        pair.network.cut("base")
+        await asyncio.sleep(20.0)
+        pair.network.heal()
+        await pair.to_base._alive.wait()
+        pair.network.cut("base")  # before the wheels are let go there
+        await asyncio.sleep(0.7)
+        healed = loop.time()
+        pair.network.heal()
+        await asyncio.sleep(0.5)
+        assert [at for at, told in sent if at > healed and told != STILL]
+        state = rover.resources.query("far_sonar").state
+        assert state is esair.ResourceState.READY
+
+
 @pytest.mark.promise("NET-3")
 async def test_a_lost_peer_is_known_in_time_and_comes_back() -> None:
     """Its parts are LOST within 1.3 s of its silence, and READY again by themselves."""
@@ -252,6 +327,27 @@ async def test_a_request_whose_answer_is_lost_is_not_known() -> None:
         assert pair.docking.begun == [2, 4]
 
 
+@pytest.mark.promise("NET-3")
+@pytest.mark.parametrize("way", ["ask", "answer"])
+async def test_a_message_that_is_lost_without_a_gap_ends_its_request(way: str) -> None:
+    """A connection is made anew within a second: what was on it is not known."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand):
+        if way == "ask":
+            pair.network.cut("base")
+        asked = asyncio.ensure_future(hand.ask("far_docking", Dock(2), timeout=None))
+        await asyncio.sleep(0.1)
+        pair.network.cut("base")
+        pair.docking.go.set()
+        await asyncio.sleep(0.3)
+        pair.network.heal()
+        async with asyncio.timeout(1.5):
+            with pytest.raises(esair.OutcomeUnknownError, match="not known there"):
+                await asked
+        assert pair.docking.begun == ([2] if way == "answer" else [])
+        assert await hand.ask("far_docking", Dock(3))
+
+
 async def test_each_request_has_its_one_outcome() -> None:
     """Answered, refused, failed; withdrawn ends the work there."""
     pair, hand = Pair(), Hand()
@@ -291,7 +387,7 @@ async def test_a_command_is_judged_when_it_leaves(slow: float) -> None:
         await asyncio.sleep(0.01)
         second = asyncio.ensure_future(hand.wheels.write(Twist(0.2, 0.0)))
         await asyncio.gather(first, second, return_exceptions=True)
-        await asyncio.sleep(0.3)
+        await asyncio.sleep(0.6)
 
         told = [command for _, command in sent]
         assert (Twist(0.2, 0.0) in told) is (slow < TIMEOUT), told

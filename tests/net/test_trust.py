@@ -160,6 +160,7 @@ def test_nothing_is_made_of_bytes_that_was_not_declared() -> None:
         ({"connect": ["tls/192.168.1.5:7447"]}, "tls needs certificates"),
         ({"listen": ["udp/127.0.0.1:7447"]}, "expected 'tcp/HOST:PORT'"),
         ({"listen": ["tcp/127.0.0.1:0"]}, "expected 'tcp/HOST:PORT'"),
+        ({"listen": ["tcp/127.0.0.1:1"], "connect_timeout": 0}, "expected 0.05 to 10"),
         (
             {
                 "listen": ["tcp/127.0.0.1:1"],

@@ -49,6 +49,7 @@ class _Network:
     connect: tuple[str, ...] = ()
     tls: _Tls | None = None
     insecure: bool = False
+    connect_timeout: float = 0.3
 
 
 @attrs.frozen
@@ -168,8 +169,7 @@ def add_buses(draft: Draft, peers: Peers | None) -> None:
         return
     from esair.buses.peer import Network, PeerBus, Tls
 
-    source, told = draft.source, peers.network
-    tls = None if told.tls is None else Tls(**attrs.asdict(told.tls))
+    mistakes, told = draft.source.mistakes, peers.network
     network: Any = None
     try:
         network = Network(
@@ -177,21 +177,26 @@ def add_buses(draft: Draft, peers: Peers | None) -> None:
             peers=peers.names,
             listen=told.listen,
             connect=told.connect,
-            tls=tls,
+            tls=None if told.tls is None else Tls(**attrs.asdict(told.tls)),
             insecure=told.insecure,
+            connect_timeout=told.connect_timeout,
         )
     except Exception as error:
-        source.mistakes.caught("network", error, "the network")
+        mistakes.caught("network", error, "the network")
     for peer in peers.names:
         made = None
-        if network is not None:
-            try:
-                made = PeerBus(name=peer, network=network)
-            except Exception as error:
-                source.mistakes.caught("network", error, "the network")
-        draft.parts.append(Part("bus", peer, made))
-        if draft.simulated:  # it is on the network as the robot is
-            source.data.setdefault("bus", {}).setdefault(peer, {"sim": {}})
+        try:
+            made = None if network is None else PeerBus(name=peer, network=network)
+        except Exception as error:
+            mistakes.caught("network", error, "the network")
+        add_peer_bus(draft, peer, made)
+
+
+def add_peer_bus(draft: Draft, peer: str, made: Any) -> None:
+    """Add the bus to a peer; in a simulation it is there as the robot is."""
+    draft.parts.append(Part("bus", peer, made))
+    if draft.simulated:
+        draft.source.data.setdefault("bus", {}).setdefault(peer, {"sim": {}})
 
 
 def add_behaviors(draft: Draft, peers: Peers | None) -> None:
@@ -237,16 +242,13 @@ def add_behaviors(draft: Draft, peers: Peers | None) -> None:
             if part.made is not None and part.kind != "bus":
                 way.declare(type(inner_of(part.made)))
         if peer in shared:
-            made_of = _sharing(draft, Sharing, way, shared[peer])
-            draft.parts.append(Part("behavior", peer, made_of))
-
-
-def _sharing(draft: Draft, kind: Any, bus: Any, shares: list[Any]) -> Any:
-    try:
-        return kind(bus=bus, shares=shares)
-    except Exception as error:
-        draft.source.mistakes.caught(f"share.{shares[0].name}", error, "the share")
-        return None
+            sharing = None
+            try:
+                sharing = Sharing(bus=way, shares=shared[peer])
+            except Exception as error:
+                key = f"share.{shared[peer][0].name}"
+                draft.source.mistakes.caught(key, error, "the share")
+            draft.parts.append(Part("behavior", peer, sharing))
 
 
 def _requests(source: Source, key: str, names: tuple[str, ...]) -> list[Any]:

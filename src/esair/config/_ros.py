@@ -8,7 +8,7 @@ ask is one behavior ``ros``, as what is shared with a peer.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import attrs
@@ -17,7 +17,7 @@ from esair.actions import Request, answer_type
 from esair.config._classes import find_class
 from esair.config._draft import Draft, Part
 from esair.config._mistakes import dotted, unknown
-from esair.config._network import add_table
+from esair.config._network import add_peer_bus, add_table
 from esair.config._source import Source
 from esair.config._values import INVALID
 from esair.resources import Actuator, Sensor
@@ -25,7 +25,13 @@ from esair.resources import Actuator, Sensor
 BUS: Final = "ros"
 _NAME: Final = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _TYPE: Final = r"[a-z][a-z0-9_]*/{}/[A-Z][A-Za-z0-9]*"
-_SCALARS: Final = {"Float": "float", "Int": "int", "UInt": "int", "String": "str"}
+_SCALARS: Final = {
+    "Float": "float",
+    "Int": "int",
+    "UInt": "int",
+    "String": "str",
+    "Bool": "bool",
+}
 
 
 @attrs.frozen
@@ -72,14 +78,39 @@ class _Ros:
     actions: Mapping[str, Any] = attrs.field(factory=dict)
 
 
+@attrs.frozen
+class _Entry:
+    """A name in ROS: a topic, a service or an action, with its table."""
+
+    kind: str
+    name: str
+    told: Any
+
+    @property
+    def key(self) -> str:
+        return dotted("ros", f"{self.kind}s", self.name)
+
+    @property
+    def part(self) -> str:
+        """The sensor that hears a topic."""
+        return self.told.sensor or self.name.strip("/").replace("/", "_").lower()
+
+
 @attrs.define
 class Citizen:
     """What a file says of ROS, as far as it is sound."""
 
     table: _Ros
-    topics: dict[str, _Topic]
-    calls: dict[tuple[str, str], _Service]  # by kind, service or action, and name
+    entries: list[_Entry]
     network: Any = None
+
+
+_FORMS: Final = (
+    ("topic", "msg", _Topic, ("sensor", "drive", "publish")),
+    ("service", "srv", _Service, ("ask", "behavior")),
+    ("action", "action", _Service, ("ask", "behavior")),
+)
+"""What tables there are: of what, the package of its types, and what it can be here."""
 
 
 def read_ros(source: Source) -> Citizen | None:
@@ -89,65 +120,43 @@ def read_ros(source: Source) -> Citizen | None:
     table = source.convert(source.data["ros"], _Ros, "ros")
     if table is INVALID:
         return None
-    found: dict[str, dict[str, Any]] = {}
-    names: dict[str, str] = {}
-    for kind, suffix, form, ways in (
-        ("topic", "msg", _Topic, ("sensor", "drive", "publish")),
-        ("service", "srv", _Service, ("ask", "behavior")),
-        ("action", "action", _Service, ("ask", "behavior")),
-    ):
-        tables = getattr(table, f"{kind}s")
-        found[kind] = dict(_sound(source, kind, suffix, form, tables, ways))
-        for name in found[kind]:
-            other = names.setdefault(name, kind)
-            if other != kind:  # by its name it is known what comes
-                wrong = (
-                    f"there is a {other} {name!r} already: a robot has one of a name"
-                )
-                source.mistakes.add(dotted("ros", f"{kind}s", name), wrong)
-    calls = {
-        (kind, name): each
-        for kind in ("service", "action")
-        for name, each in found[kind].items()
-    }
-    citizen = Citizen(table, found["topic"], calls)
+    citizen = Citizen(table, list(_entries(source, table)))
     add_table(source, "ros", "sensor", BUS, {"driver": "esair.drivers.peer:Peer"}, BUS)
-    for name, topic in citizen.topics.items():
-        if topic.publish is None:
+    for entry in citizen.entries:
+        topic = entry.told
+        if entry.kind == "topic" and topic.publish is None:
             told: dict[str, Any] = {"driver": "esair.drivers.peer:PeerSensor"}
-            told |= {"remote": name, "link_rate": topic.rate or 100.0}
+            told |= {"remote": entry.name, "link_rate": topic.rate or 100.0}
             if topic.drive is None and (value := _kind_of(topic)) is not None:
                 told["type"] = value
-            where = dotted("ros", "topics", name)
-            add_table(source, where, "sensor", _sensor_of(name, topic), told, BUS)
+            add_table(source, entry.key, "sensor", entry.part, told, BUS)
     return citizen
 
 
-def _sound(
-    source: Source,
-    kind: str,
-    suffix: str,
-    form: type,
-    tables: Mapping[str, Any],
-    ways: tuple[str, ...],
-) -> Any:
-    for name, table in tables.items():
-        key = dotted("ros", f"{kind}s", name)
-        told = source.convert(table, form, key)
-        if told is INVALID:
-            continue
-        if not _NAME.fullmatch(name):
-            source.mistakes.add(key, f"expected the whole name of a {kind}: '/name'")
-        elif not re.fullmatch(_TYPE.format(suffix), told.type):
-            source.wrong(f"{key}.type", f"'package/{suffix}/Name'", told.type)
-        elif sum(getattr(told, way) is not None for way in ways) != 1:
-            source.mistakes.add(key, f"expected one of {', '.join(ways)}")
-        else:
-            yield name, told
-
-
-def _sensor_of(name: str, topic: _Topic) -> str:
-    return topic.sensor or name.strip("/").replace("/", "_").lower()
+def _entries(source: Source, table: _Ros) -> Iterator[_Entry]:
+    """Yield the tables that are sound; a name is there once: by it is known what comes."""
+    kinds: dict[str, str] = {}
+    for kind, package, form, ways in _FORMS:
+        for name, raw in getattr(table, f"{kind}s").items():
+            key = dotted("ros", f"{kind}s", name)
+            told: Any = source.convert(raw, form, key)
+            if told is INVALID:
+                continue
+            if not _NAME.fullmatch(name):
+                wrong = f"expected the whole name of a {kind}: '/name'"
+            elif not re.fullmatch(_TYPE.format(package), told.type):
+                source.wrong(f"{key}.type", f"'package/{package}/Name'", told.type)
+                continue
+            elif sum(getattr(told, way) is not None for way in ways) != 1:
+                wrong = f"expected one of {', '.join(ways)}"
+            elif (other := kinds.setdefault(name, kind)) != kind:
+                wrong = (
+                    f"there is a {other} {name!r} already: a robot has one of a name"
+                )
+            else:
+                yield _Entry(kind, name, told)
+                continue
+            source.mistakes.add(key, wrong)
 
 
 def _kind_of(topic: _Topic) -> str | None:
@@ -161,8 +170,9 @@ def _kind_of(topic: _Topic) -> str | None:
         return "tuple" if is_row else f"esair.buses.ros:{READY[topic.type][0].__name__}"
     package, _, name = topic.type.rpartition("/")
     if package == "std_msgs/msg" and not name.endswith("Array"):
-        kinds = {**_SCALARS, "Bool": "bool"}
-        return next((kinds[each] for each in kinds if name.startswith(each)), None)
+        return next(
+            (_SCALARS[each] for each in _SCALARS if name.startswith(each)), None
+        )
     return None
 
 
@@ -191,9 +201,7 @@ def add_bus(draft: Draft, citizen: Citizen | None) -> None:
         source.mistakes.caught("ros", error, "ROS")
     if BUS in draft.buses:
         source.mistakes.add("ros", f"there is a bus or a peer {BUS!r} already")
-    draft.parts.append(Part("bus", BUS, made))
-    if draft.simulated:  # it is in ROS as the robot is
-        source.data.setdefault("bus", {}).setdefault(BUS, {"sim": {}})
+    add_peer_bus(draft, BUS, made)
 
 
 def add_citizen(draft: Draft, citizen: Citizen | None) -> None:
@@ -204,113 +212,102 @@ def add_citizen(draft: Draft, citizen: Citizen | None) -> None:
     from esair.peers import Share, Sharing, peer_behavior
 
     shares: dict[str, Share] = {}
-    for name, topic in citizen.topics.items():
-        _add_topic(draft, citizen, name, topic, shares)
-    for (kind, name), call in citizen.calls.items():
-        key = dotted("ros", f"{kind}s", name)
-        request = _class(draft, f"{key}.request", call.request)
+    for entry in citizen.entries:
+        told = entry.told
+        if entry.kind == "topic":
+            _add_topic(draft, citizen, entry, shares)
+            continue
+        request = _class(draft, f"{entry.key}.request", told.request)
         if request is None:
             continue
         if not issubclass(request, Request):
-            told = f"{call.request!r} is not derived from esair.Request"
-            draft.source.mistakes.add(f"{key}.request", told)
+            wrong = f"{told.request!r} is not derived from esair.Request"
+            draft.source.mistakes.add(f"{entry.key}.request", wrong)
             continue
-        part = call.ask or call.behavior or ""
-        if call.ask is not None:
-            shares[part] = Share(part, "ask")
-            _is_there(draft, f"{key}.ask", part, "behavior")
+        form, answer = (request, told.fields), (answer_type(request), told.answer)
+        if told.ask is not None:
+            shares[told.ask] = Share(told.ask, "ask")
+            _is_there(draft, entry, "ask", "behavior")
+            _link(draft, citizen, entry, "in", told.ask, form, answer)
         else:
-            made = peer_behavior(part, bus, [request], remote=name)
-            _add_behavior(draft, key, part, made)
-        flow = "in" if call.ask is not None else "out"
-        forms = {
-            "form": (request, call.fields),
-            "answer": (answer_type(request), call.answer),
-        }
-        _link(draft, citizen, key, name, call, kind, flow, part, forms)
+            made = peer_behavior(told.behavior, bus, [request], remote=entry.name)
+            _add_behavior(draft, entry.key, told.behavior, made)
+            _link(draft, citizen, entry, "out", told.behavior, form, answer)
     if shares:
         _add_behavior(draft, "ros", BUS, Sharing(bus=bus, shares=shares.values()))
 
 
 def _add_topic(
-    draft: Draft, citizen: Citizen, name: str, topic: _Topic, shares: dict[str, Any]
+    draft: Draft, citizen: Citizen, entry: _Entry, shares: dict[str, Any]
 ) -> None:
     from esair.peers import Drive, Share
 
-    key = dotted("ros", "topics", name)
-    flow, part = "in", topic.publish or topic.drive or ""
-    kind = None if topic.value is None else _class(draft, f"{key}.value", topic.value)
-    if topic.drive is not None:
-        if not _is_there(draft, f"{key}.drive", part, "actuator"):
+    told, flow = entry.told, "in"
+    kind = told.value and _class(draft, f"{entry.key}.value", told.value)
+    part, found = entry.part, None
+    if told.drive is not None:
+        if not _is_there(draft, entry, "drive", "actuator"):
             return
-        found = draft.made(Actuator).get(part)
-        kind = kind or getattr(found, "value_type", None)
-        part = _sensor_of(name, topic)
+        found = draft.made(Actuator).get(told.drive)
         drive = Drive(
-            topic=name, sensor=part, actuator=topic.drive, priority=topic.priority
+            topic=entry.name, sensor=part, actuator=told.drive, priority=told.priority
         )
-        _add_behavior(draft, key, drive.name, drive)
-    elif topic.publish is not None:
-        flow = "out"
-        if not _is_there(draft, f"{key}.publish", part, "sensor"):
+        _add_behavior(draft, entry.key, drive.name, drive)
+    elif told.publish is not None:
+        flow, part = "out", told.publish
+        if not _is_there(draft, entry, "publish", "sensor"):
             return
         found = draft.made(Sensor).get(part)
-        kind = kind or getattr(found, "value_type", None)
-        rate = max(topic.rate or 20.0, shares[part].rate if part in shares else 0.0)
+        rate = max(told.rate or 20.0, shares[part].rate if part in shares else 0.0)
         try:
             shares[part] = Share(part, "read", rate=rate)
         except Exception as error:
-            draft.source.mistakes.caught(key, error, "the topic")
-    kind = None if kind is Any else kind
+            draft.source.mistakes.caught(entry.key, error, "the topic")
+    kind = kind or getattr(found, "value_type", None)
     _link(
-        draft,
-        citizen,
-        key,
-        name,
-        topic,
-        "topic",
-        flow,
-        part,
-        {"form": (kind, topic.fields)},
+        draft, citizen, entry, flow, part, (None if kind is Any else kind, told.fields)
     )
 
 
 def _link(
     draft: Draft,
     citizen: Citizen,
-    key: str,
-    name: str,
-    told: Any,
-    kind: Any,
+    entry: _Entry,
     flow: Any,
     part: str,
-    forms: Mapping[str, tuple[Any, Any]],
+    form: tuple[Any, Any],
+    answer: tuple[Any, Any] | None = None,
 ) -> None:
+    """Add a link: its form is of a class, and has the paths of its fields."""
     from esair.buses.ros import Link, form_of
 
-    fixed: dict[str, Any] = dict(getattr(told, "fixed", {}))
-    for field, path in (("frame", "header.frame_id"), ("child", "child_frame_id")):
-        if getattr(told, field, None) is not None:
-            fixed[path] = getattr(told, field)
-    made = {}
-    for each, (of, fields) in forms.items():
-        try:
-            made[each] = form_of(
-                told.type, of, fields, fixed if kind == "topic" else {}
-            )
-        except ValueError as error:
-            draft.source.mistakes.add(key, str(error))
-            return
-    rate, latched = getattr(told, "rate", None) or 20.0, getattr(told, "latched", False)
-    link = Link(name, told.type, kind, flow, part, **made, latched=latched, rate=rate)
-    citizen.network.links.append(link)
+    told, kind = entry.told, entry.kind
+    more: dict[str, Any] = {}
+    try:
+        if isinstance(told, _Topic):
+            fixed = dict(told.fixed)
+            if told.frame is not None:
+                fixed["header.frame_id"] = told.frame
+            if told.child is not None:
+                fixed["child_frame_id"] = told.child
+            more = {"latched": told.latched, "rate": told.rate or 20.0}
+            more["form"] = form_of(told.type, *form, fixed)
+        else:
+            more["form"] = form_of(told.type, *form)
+            more["answer"] = form_of(told.type, *(answer or ()))
+    except ValueError as error:
+        draft.source.mistakes.add(entry.key, str(error))
+        return
+    link: Any = Link
+    citizen.network.links.append(link(entry.name, told.type, kind, flow, part, **more))
 
 
-def _is_there(draft: Draft, key: str, name: str, kind: str) -> bool:
+def _is_there(draft: Draft, entry: _Entry, way: str, kind: str) -> bool:
     """Tell whether a table names a part of the file; if not, that is a mistake."""
+    name = getattr(entry.told, way)
     known = [each.name for each in draft.parts if each.kind == kind]
     if name not in known:
-        draft.source.mistakes.add(key, unknown(kind, name, known))
+        draft.source.mistakes.add(f"{entry.key}.{way}", unknown(kind, name, known))
     return name in known
 
 

@@ -34,7 +34,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Kind
-from esair.loop import CallRefused
+from esair.loop import CallRefused, ask_outside, clock_beside
 from esair.messages import Answer, Refused, ResourceState, Why, Written
 from esair.resources import Actuator
 
@@ -339,8 +339,8 @@ class ActuatorChannel(Device):
                 return self._kept_away(registration, command, refused, now, again)
         if heard.command and not again:
             self.wanted(registration, command)
-        if expires is not None and now > expires:
-            expired = f"it expired {now - expires:.3g} s ago"
+        if expires is not None and (late := self._lateness(expires)) > 0.0:
+            expired = f"it expired {late:.3g} s ago"
             return self._refuse(registration, self._too_late(registration, expired))
         asked = command
         if ready is None:
@@ -385,6 +385,11 @@ class ActuatorChannel(Device):
         written = _new(Written)
         written.command, written.asked, written.by = command, asked, by
         return written
+
+    def _lateness(self, expires: float) -> float:
+        """Look at the clock itself: the process may have been stopped amid this turn."""
+        clock = clock_beside(self.loop)
+        return ask_outside((self.name, "expires"), clock) - expires
 
     def _sent(
         self, sent: Any, right: Registration, command: Any, asked: Any, by: str | None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
@@ -32,8 +32,8 @@ class PeerBehavior(Behavior):
     remote: str
 
     async def setup(self) -> None:
-        """Let the answers cross."""
-        self._progress: dict[int, Callable[[Any], object]] = {}
+        """Let the progress cross."""
+        self._working: dict[int, Request[Any]] = {}
         self._numbers = itertools.count()
         loop = asyncio.get_running_loop()
         self._told = News(loop, ("peer", self.name, "progress"), self._hear)
@@ -46,24 +46,23 @@ class PeerBehavior(Behavior):
 
     async def _serve(self, requests: Any) -> None:
         async for request in requests:
+            number = next(self._numbers)
+            self._working[number] = request
             try:
                 async with request:
-                    await self._hand_on(request)
+                    await self._hand_on(number, request)
             except EsairError:
                 pass  # the asker has it
+            finally:
+                del self._working[number]
 
-    async def _hand_on(self, request: Request[Any]) -> None:
-        number = next(self._numbers)
-        self._progress[number] = request.progress
+    async def _hand_on(self, number: int, request: Request[Any]) -> None:
         tag = "peer", self.name, "ask"
-        try:
-            how, data = await outside(tag, partial(self._ask, number, request.data))
-        finally:
-            del self._progress[number]
+        how, data = await outside(tag, partial(self._ask, number, request.data))
         try:
             value = decode(data, self.bus.kinds)
         except CodecError as error:
-            raise OutcomeUnknownError(self.name, describe(error)) from None
+            how, value = "lost", describe(error)
         if how == "answered":
             request.answer(value)
         elif how == "declined":
@@ -80,23 +79,21 @@ class PeerBehavior(Behavior):
         def progress(value: Any) -> None:
             self._told.tell(number, encode(value, bus.kinds))
 
-        if not bus.is_open:
-            how, value = "declined", f"{bus.name!r} is not there"
-        else:
-            try:
+        how, value = "declined", f"{bus.name!r} is not there"
+        try:
+            if bus.is_open:
                 how, value = await bus.request(
                     "ask", self.remote, request, progress=progress
                 )
-            except DeviceLostError as error:
-                how, value = "lost", error.detail
-            except EsairError as error:  # it was not sent
-                how, value = "declined", describe(error)
+        except DeviceLostError as error:
+            how, value = "lost", error.detail
+        except EsairError as error:  # it was not sent
+            how, value = "declined", describe(error)
         return how, encode(value, bus.kinds)
 
     def _hear(self, number: int, data: bytes) -> None:
-        progress = self._progress.get(number)
-        if progress is not None:
-            progress(decode(data, self.bus.kinds))
+        if number in self._working:
+            self._working[number].progress(decode(data, self.bus.kinds))
 
 
 def peer_behavior(

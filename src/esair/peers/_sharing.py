@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 from collections.abc import Iterable
 from typing import Any, Final, Literal
@@ -35,7 +36,7 @@ _ASKS: Final = 16
 """How many requests of a peer may be worked on."""
 
 _LOOK: Final = 0.2
-"""How often it is looked whether a shared sensor is lost, in seconds."""
+"""How often it is looked what is there again, in seconds."""
 
 _NOT_DONE = (
     RefusedError,
@@ -91,31 +92,26 @@ class Sharing(Behavior):
                 raise ConfigError(each.name, "rate", told)
         super().__init__(
             name=bus.name,
-            reads={
-                f"the_{each.name}": reads(Any, name=each.name)
-                for each in self.shares.values()
-                if each.access == "read"
-            },
+            reads={f"the_{name}": reads(Any, name=name) for name in self._all("read")},
             writes={
-                f"the_{each.name}": writes(
-                    Any, name=each.name, priority=each.priority, blind="release"
+                f"the_{name}": writes(
+                    Any, name=name, priority=self.shares[name].priority, blind="release"
                 )
-                for each in self.shares.values()
-                if each.access == "write"
+                for name in self._all("write")
             },
         )
         self.bus = bus
 
+    def _all(self, *access: str) -> list[str]:
+        return [each.name for each in self.shares.values() if each.access in access]
+
     async def setup(self) -> None:
         """Take what the peer says from now on."""
         self._feeds: dict[str, asyncio.Task[None]] = {}
-        self._told: dict[str, bool] = {}
         self._asks: dict[int, asyncio.Task[None]] = {}
         self._orders: asyncio.Queue[tuple[Any, ...]] = asyncio.Queue(64)
         self._commands: dict[str, asyncio.Queue[tuple[Any, ...]]] = {
-            name: asyncio.Queue(_WAITING)
-            for name, each in self.shares.items()
-            if each.access == "write"
+            name: asyncio.Queue(_WAITING) for name in self._all("write")
         }
         # It comes in by the door, and is kept: a recording repeats without a network.
         news = News(asyncio.get_running_loop(), ("peer", self.name), self._sort)
@@ -155,6 +151,10 @@ class Sharing(Behavior):
                 elif what == "cancel":
                     if parts[0] in self._asks:
                         self._asks[parts[0]].cancel()
+                elif what == "pending":
+                    for number in parts[0]:
+                        if type(number) is int and number not in self._asks:
+                            self._answer(number, "lost", "it is not known there")
                 elif what == "lost":
                     for task in (*self._feeds.values(), *self._asks.values()):
                         task.cancel()
@@ -229,14 +229,12 @@ class Sharing(Behavior):
 
     async def _feed(self, name: str, pause: float) -> None:
         port = getattr(self, f"the_{name}")
-        self._told.pop(name, None)
-        self._tell_state(name)
         try:
-            newest = port.newest
-            self._send(name, newest)
-        except EsairError:
-            pass  # it is sent when there is one
-        try:
+            if not self._is_there(name):
+                raise DeviceLostError(name)
+            self.bus.say("gone", name, "")  # it is there, if it has said nothing yet
+            with contextlib.suppress(EsairError):
+                self._send(name, port.newest)
             async for _ in port:
                 self._send(name, port.newest)
                 await asyncio.sleep(pause)
@@ -248,23 +246,15 @@ class Sharing(Behavior):
         age = float(max(0.0, now() - reading.time))
         self.bus.say("reading", name, age, reading.value)
 
-    def _tell_state(self, name: str) -> None:
-        is_there = self._is_there(name)
-        if self._told.get(name) is not is_there:
-            self._told[name] = is_there
-            told = "" if is_there else f"{name!r} is lost there"
-            self.bus.say("gone", name, told)
-
     def _is_there(self, name: str) -> bool:
-        port = getattr(self, f"the_{name}")
-        return bool(port.state is ResourceState.READY)
+        return bool(getattr(self, f"the_{name}").state is ResourceState.READY)
 
     async def _look(self) -> None:
+        """Tell the peer when something is there again."""
+        used = self._all("read", "write")
         lost: set[str] = set()
         while True:
-            for name in self._feeds:
-                self._tell_state(name)
-            gone = {name for name in self._commands if not self._is_there(name)}
+            gone = {name for name in used if not self._is_there(name)}
             if lost - gone:
                 self.bus.say("ready")
             lost = gone

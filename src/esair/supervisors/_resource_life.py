@@ -525,6 +525,7 @@ class ResourceLife:
             return
         if (error is None) == (self.channel.state is ResourceState.READY):
             return  # an arrival of what is there, or a loss of what is not
+        self._arrived = error is None
         self._news.set_result(error)
         if error is not None:
             self._down(error)
@@ -573,6 +574,8 @@ class ResourceLife:
                 continue
             pause = min(pause, FIRST_DELAY) if self._arrived else pause
             await self._wait_for_news(pause)
+            if self._arrived:
+                delay = FIRST_DELAY  # one that is back is not waited for long again
 
     def _first_try(self, error: BaseException | None = None) -> None:
         if not self.tried.done():

@@ -3,17 +3,10 @@
 Only ``_zenoh.py`` knows zenoh, and imports it when the network is opened.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
-from esair.loading import late
-
-if TYPE_CHECKING:
-    from esair.buses.peer._bus import BEAT, SILENCE, PeerBus, PeerNetwork
-    from esair.buses.peer._fake import FakeNetwork
-    from esair.buses.peer._wire import Head, head_of, packed, parts_of
-    from esair.buses.peer._zenoh import Network, Tls
+from esair.buses.peer._bus import BEAT, SILENCE, PeerBus, PeerNetwork
+from esair.buses.peer._fake import FakeNetwork
+from esair.buses.peer._wire import Head, head_of, packed, parts_of
+from esair.buses.peer._zenoh import Network, Tls
 
 __all__ = [
     "BEAT",
@@ -28,13 +21,3 @@ __all__ = [
     "packed",
     "parts_of",
 ]
-
-__getattr__, __dir__ = late(
-    __name__,
-    {
-        "_bus": "BEAT SILENCE PeerBus PeerNetwork",
-        "_fake": "FakeNetwork",
-        "_wire": "Head head_of packed parts_of",
-        "_zenoh": "Network Tls",
-    },
-)

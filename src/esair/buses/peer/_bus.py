@@ -12,10 +12,10 @@ import itertools
 import math
 import secrets
 from collections.abc import Awaitable, Callable
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
-from esair.buses._bus import Bus, listen
-from esair.buses._inbox import Inbox
+from esair.buses._bus import Bus
+from esair.buses._inbox import Inbox, within
 from esair.buses.peer._wire import FOR_OWNER, FORMS, Head, head_of, packed, parts_of
 from esair.codec import CodecError, Kinds, declared
 from esair.exceptions import (
@@ -46,6 +46,15 @@ NEVER = -math.inf
 
 Send = Callable[[str, bytes], None]
 Serve = Callable[[str, float, bytes], object]
+
+
+class _Request(NamedTuple):
+    """What waits for its answer, as long as the peer is not silent for too long."""
+
+    outcome: asyncio.Future[tuple[str, Any]]
+    patience: float
+    progress: Callable[[Any], object]
+    is_ask: bool
 
 
 class PeerNetwork(Protocol):
@@ -92,12 +101,11 @@ class PeerBus(Bus):
         self._its_run = self._its_beat = 0
         self._over: collections.deque[int] = collections.deque(maxlen=8)
         self._heard_at = self._beat_at = NEVER
+        self._gap, self._gap_at = 0.0, 0  # the last one, and the own beat at its end
         self._alive = asyncio.Event()
         self._beating: asyncio.Task[None] | None = None
-        self._on_gap: list[Callable[[float], None]] = []
         self._numbers = itertools.count(secrets.randbits(31) << 20)
-        self._pending: dict[int, asyncio.Future[tuple[str, Any]]] = {}
-        self._progress: dict[int, Callable[[Any], object]] = {}
+        self._pending: dict[int, _Request] = {}
         self._followed: dict[str, tuple[float, Inbox[Any]]] = {}
 
     def declare(self, kind: Any) -> None:
@@ -107,8 +115,7 @@ class PeerBus(Bus):
     def _declare_late(self, kinds: Kinds) -> None:
         while self._undeclared:
             kind = self._undeclared.pop()
-            kinds.add(kind)
-            for each in declared(kind) if isinstance(kind, type) else ():
+            for each in (kind, *(declared(kind) if isinstance(kind, type) else ())):
                 kinds.add(each)
 
     # Its life: it beats from the first opening to its end, whether the peer is there or not.
@@ -155,6 +162,9 @@ class PeerBus(Bus):
                 self._gone(f"no echo of a beat for {silent:.2g} s")
             elif self.is_open and self._beats % _FOLLOW_AGAIN == 0:
                 self._tell_followed()
+                asks = [n for n, each in self._pending.items() if each.is_ask]
+                if asks:  # a message may be lost with a connection, and no gap tells
+                    self.say("pending", asks)
             await asyncio.sleep(BEAT)
 
     def _gone(self, told: str) -> None:
@@ -167,15 +177,24 @@ class PeerBus(Bus):
     def lost(self, error: BaseException) -> None:
         """Tell everybody on the bus, and whoever waits for an answer."""
         super().lost(error)
-        for future in self._pending.values():
-            fail(future, DeviceLostError(self.name, describe(error)))
+        for each in self._pending.values():
+            fail(each.outcome, DeviceLostError(self.name, describe(error)))
 
-    def on_gap(self, listener: Callable[[float], None]) -> Callable[[], None]:
-        """Call a function with the seconds between two beats of the peer, when one comes.
+    def silence(self) -> float:
+        """Return for how long nothing was heard, in seconds.
 
-        Returns how to stop that.
+        A gap counts for two beats more: then what is from before it has had its turn.
         """
-        return listen(self._on_gap, listener)
+        now = asyncio.get_running_loop().time() - self._beat_at
+        return max(now, self._gap if self._beats < self._gap_at + 2 else 0.0)
+
+    def _over_gap(self, seconds: float) -> None:
+        """End what does not wait for its answer through such a gap."""
+        if seconds > 2.0 * BEAT:
+            self._gap, self._gap_at = seconds, self._beats
+        for each in self._pending.values():
+            if seconds > each.patience:
+                arrive(each.outcome, ("silent", seconds))
 
     # What comes.
 
@@ -197,10 +216,9 @@ class PeerBus(Bus):
             if self._alive.is_set():
                 self._gone("it has restarted")
         if head.beat > self._its_beat:
-            gap, self._its_beat, self._beat_at = now - self._beat_at, head.beat, now
-            if self.is_open:
-                for listener in tuple(self._on_gap):
-                    listener(gap)
+            if self._alive.is_set():
+                self._over_gap(now - self._beat_at)
+            self._its_beat, self._beat_at = head.beat, now
         if head.echo_run == self._run and head.echo > self._beats:
             # A number came there that was never sent: count on from it, or what is
             # sent from now on stays unheard.
@@ -250,12 +268,13 @@ class PeerBus(Bus):
         """Answer what comes before this robot is ready to serve, or after."""
         self.stats.unheard += 1
         parts, told = self.parts(what, body), f"{self.network.me!r} shares nothing now"
-        if parts is None or what == "cancel":
-            return
-        if what == "follow":
+        if parts is not None and what == "follow":
             for name in parts[0]:
                 self.say("gone", str(name), told)
-        else:
+        elif parts is not None and what == "pending":
+            for number in parts[0]:
+                self.say("answer", number, "lost", told)
+        elif parts is not None and what != "cancel":
             self.say("answer", parts[0], "declined" if what == "ask" else "lost", told)
 
     def parts(self, what: str, body: bytes) -> tuple[Any, ...] | None:
@@ -268,16 +287,13 @@ class PeerBus(Bus):
             return None
 
     def _hand_on(self, what: str, sent: float, parts: tuple[Any, ...]) -> None:
-        if what == "answer":
-            number, how, value = parts
-            future = self._pending.get(number)
-            if future is None:
+        if what in {"answer", "progress"}:
+            if (request := self._pending.get(parts[0])) is None:
                 self.stats.late += 1
+            elif what == "answer":
+                arrive(request.outcome, parts[1:])
             else:
-                arrive(future, (how, value))
-        elif what == "progress":
-            number, value = parts
-            self._progress.get(number, _unheard)(value)
+                request.progress(parts[1])
         else:
             wanted = self._followed.get(parts[0])
             if wanted is None:
@@ -316,9 +332,13 @@ class PeerBus(Bus):
         self,
         what: str,
         *parts: Any,
-        progress: Callable[[Any], object] | None = None,
+        progress: Callable[[Any], object] = lambda _: None,
+        patience: float = math.inf,
     ) -> tuple[str, Any]:
         """Send what is answered, and wait for the answer: how it ended, and with what.
+
+        With no answer for as long as the patience, in seconds, it ends as ``"silent"``,
+        with how long; no command is sent into a gap that is longer.
 
         Raises:
             DeviceLostError: The peer was lost before it has answered.
@@ -329,21 +349,21 @@ class PeerBus(Bus):
             raise DeviceLostError(self.name, "it is not there")
         if len(self._pending) >= _PENDING:
             raise BusyError(self.name, "number of requests to a peer", _PENDING)
+        if what == "write" and (silent := self.silence()) > patience:
+            return "silent", silent
         number = next(self._numbers)
-        future: asyncio.Future[tuple[str, Any]]
-        future = asyncio.get_running_loop().create_future()
-        self._pending[number] = future
-        if progress is not None:
-            self._progress[number] = progress
+        outcome = asyncio.get_running_loop().create_future()
+        self._pending[number] = _Request(outcome, patience, progress, what == "ask")
         try:
             self.say(what, number, *parts)
-            return await future
+            return await within(outcome, None if patience == math.inf else patience)
+        except TimeoutError:
+            return "silent", patience
         except asyncio.CancelledError:
             self.say("cancel", number)
             raise
         finally:
             del self._pending[number]
-            self._progress.pop(number, None)
 
     def follow(self, sensor: str, rate: float) -> Inbox[Any]:
         """Ask for the readings of a sensor, until the inbox is closed."""
@@ -365,7 +385,3 @@ class PeerBus(Bus):
         self._serve = serve
         if serve is not None and self._alive.is_set():
             self.say("ready")
-
-
-def _unheard(_: Any) -> None:
-    """Nobody wants to know how far it is."""

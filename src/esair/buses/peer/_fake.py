@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Iterable
+from functools import partial
 from typing import Final
 
 import attrs
@@ -24,11 +24,12 @@ class FakeAccess:
 
     async def join(self, bus: PeerBus) -> Send:
         """Let a bus send and hear."""
-        return self.network.join(self.me, bus)
+        self.network.there[self.me, bus.name] = bus
+        return partial(self.network.send, self.me, bus.name)
 
     async def leave(self, bus: PeerBus) -> None:
         """Hand on no more to a bus."""
-        self.network.leave(self.me, bus)
+        self.network.there.pop((self.me, bus.name), None)
 
 
 class FakeNetwork:
@@ -43,6 +44,7 @@ class FakeNetwork:
             those behind it: TCP sends again what is lost.
         deaf: Robots that hear nothing, though they are heard.
         log: Every message that was sent: who, to whom, what, and its bytes.
+        there: The buses that hear: of whom, and to whom.
 
     Example:
         >>> network = FakeNetwork()
@@ -56,7 +58,7 @@ class FakeNetwork:
         self.deaf: set[str] = set()
         self.log: list[tuple[str, str, str, bytes]] = []
         self._random = random.Random(seed)
-        self._there: dict[tuple[str, str], PeerBus] = {}
+        self.there: dict[tuple[str, str], PeerBus] = {}
         self._cut: dict[str, bool] = {}
         self._kept: list[tuple[str, str, str, bytes]] = []
         self._last: dict[tuple[str, str], float] = {}  # when a way's last one arrives
@@ -65,22 +67,9 @@ class FakeNetwork:
         """Return what a robot reaches its peers by."""
         return FakeAccess(self, me)
 
-    def join(self, me: str, bus: PeerBus) -> Send:
-        """Let a bus send and hear."""
-        self._there[me, bus.name] = bus
-
-        def send(what: str, data: bytes) -> None:
-            self._sent(me, bus.name, what, data)
-
-        return send
-
-    def leave(self, me: str, bus: PeerBus) -> None:
-        """Hand on no more to a bus."""
-        self._there.pop((me, bus.name), None)
-
     def cut(self, *robots: str, keep: bool = False) -> None:
         """Let nothing come from or to some robots any more, or any if none is named."""
-        for robot in robots or self._names():
+        for robot in robots or {name for pair in self.there for name in pair}:
             self._cut[robot] = keep
 
     def heal(self) -> None:
@@ -90,10 +79,8 @@ class FakeNetwork:
         for message in kept:
             self._deliver(message)
 
-    def _names(self) -> Iterable[str]:
-        return {name for pair in self._there for name in pair}
-
-    def _sent(self, sender: str, to: str, what: str, data: bytes) -> None:
+    def send(self, sender: str, to: str, what: str, data: bytes) -> None:
+        """Carry a message, as well as it goes now."""
         message = sender, to, what, data
         self.log.append(message)
         del self.log[:-1000]
@@ -111,17 +98,13 @@ class FakeNetwork:
         at = max(now + self.delay + late, self._last.get(way, 0.0))
         if at > now:
             self._last[way] = at
-            loop.call_at(at, self._arrive, message)
+            loop.call_at(at, self.inject, *message)
         else:
-            self._arrive(message)
-
-    def _arrive(self, message: tuple[str, str, str, bytes]) -> None:
-        sender, to, what, data = message
-        bus = self._there.get((to, sender))
-        if bus is not None and to not in self.deaf:
-            door = Door.of(asyncio.get_running_loop())
-            door.end(("peer", sender), bus.came, what, data)
+            self.inject(*message)
 
     def inject(self, sender: str, to: str, what: str, data: bytes) -> None:
         """Let a robot hear any bytes, as if another one had sent them."""
-        self._arrive((sender, to, what, data))
+        bus = self.there.get((to, sender))
+        if bus is not None and to not in self.deaf:
+            door = Door.of(asyncio.get_running_loop())
+            door.end(("peer", sender), bus.came, what, data)

@@ -29,12 +29,13 @@ FORMS: Final[Mapping[str, tuple[Any, ...]]] = {
     "release": (int, str),
     "ask": (int, str, object),  # number, behavior, request
     "cancel": (int,),
+    "pending": (list,),  # the numbers of asks that have no answer yet
     "answer": (int, str, object),  # number, how, what
     "progress": (int, object),
 }
 """What there is to say, and what each consists of."""
 
-FOR_OWNER: Final = frozenset({"follow", "write", "release", "ask", "cancel"})
+FOR_OWNER: Final = frozenset({"follow", "write", "release", "ask", "cancel", "pending"})
 """What asks for something here."""
 
 

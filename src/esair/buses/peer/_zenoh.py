@@ -10,9 +10,9 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import os
 import re
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -36,6 +36,13 @@ _WAITING: Final = 512
 """How many messages of a peer may wait for the loop; what comes then is dropped."""
 
 _OPENING: Final = 1.5  # how long a session may take to open, in seconds
+
+_THREADS: Final = "".join(
+    f"{name}: (worker_threads: {count}), "
+    for name, count in (("rx", 6), ("tx", 2), ("net", 2), ("acc", 2))
+)
+"""Threads of zenoh. It closes a socket with a wait for what is sent: after a cut, that holds
+one of them up for seconds, and those that share it."""
 
 
 _log = logging.getLogger("esair")
@@ -74,6 +81,8 @@ class Network:
         tls: The certificates; without them endpoints have to be on this machine.
         insecure: Endpoints elsewhere without certificates: everybody who gets there can
             read and say everything.
+        connect_timeout: How long one try to connect may take, in seconds: it has to be four
+            times the way there and back, and after a cut that is how long it takes.
     """
 
     me: str
@@ -82,6 +91,7 @@ class Network:
     connect: tuple[str, ...] = attrs.field(default=(), converter=_paths)
     tls: Tls | None = None
     insecure: bool = False
+    connect_timeout: float = attrs.field(default=0.3, converter=float)
     _users: set[str] = attrs.field(factory=set, init=False)
     _session: Any = attrs.field(default=None, init=False)
     _opening: asyncio.Task[Any] | None = attrs.field(default=None, init=False)
@@ -93,6 +103,9 @@ class Network:
         if not self.listen and not self.connect:
             told = "expected endpoints: listen = [...], connect = [...], or both"
             raise ConfigError("network", "", told)
+        if not 0.05 <= self.connect_timeout <= 10.0:
+            told = f"expected 0.05 to 10 s, not {self.connect_timeout!r}"
+            raise ConfigError("network", "connect_timeout", told)
         for field in ("listen", "connect"):
             for endpoint in getattr(self, field):
                 if (wrong := self._wrong(endpoint)) is not None:
@@ -176,10 +189,11 @@ class Network:
 
     async def _open(self, bus: PeerBus) -> None:
         try:
+            os.environ.setdefault("ZENOH_RUNTIME", f"({_THREADS})")  # it is read once
             import zenoh
 
             config = zenoh.Config()
-            for key, value in self.settings():
+            for key, value in self.settings().items():
                 config.insert_json5(key, json.dumps(value))
             self._session = await open_on(
                 bus.executor,
@@ -197,71 +211,63 @@ class Network:
         finally:
             self._opening = None
 
-    def settings(self) -> Iterator[tuple[str, Any]]:
-        """Yield what zenoh is told, by the names of its configuration."""
-        yield "mode", "peer"
-        yield "scouting/multicast/enabled", False
-        yield "scouting/gossip/enabled", False
-        yield "listen/endpoints", list(self.listen)
-        yield "connect/endpoints", list(self.connect)
-        yield "scouting/delay", 0
-        yield "connect/timeout_ms", -1  # for ever, in the background
-        yield "connect/exit_on_failure", False
-        retry = {
-            "period_init_ms": 100,
-            "period_max_ms": 250,
-            "period_increase_factor": 2,
+    def settings(self) -> dict[str, Any]:
+        """Return what zenoh is told, by the names of its configuration."""
+        told: dict[str, Any] = {
+            "mode": "peer",
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": False,
+            "listen/endpoints": self.listen,
+            "connect/endpoints": self.connect,
+            "scouting/delay": 0,
+            "connect/timeout_ms": -1,  # for ever, in the background
+            "connect/exit_on_failure": False,
+            "connect/retry": {"period_init_ms": 20, "period_max_ms": 50},
+            "transport/shared_memory/enabled": False,
+            "transport/link/protocols": ["tcp" if self.tls is None else "tls"],
+            # A way that a cut has broken is made anew: TCP alone would wait ever longer,
+            # and for a connection that it begins in the cut a whole second.
+            "transport/link/tx/lease": 300,
+            "transport/unicast/open_timeout": round(1000 * self.connect_timeout),
         }
-        yield "connect/retry", retry
-        yield "transport/shared_memory/enabled", False
-        yield "transport/link/protocols", ["tcp" if self.tls is None else "tls"]
-        # A way that a cut has broken is made anew: TCP alone would wait ever longer.
-        yield "transport/link/tx/lease", 1200
-        yield "transport/unicast/open_timeout", 1000
-        if self.tls is not None:
-            certificate, key = str(self.tls.certificate), str(self.tls.key)
-            yield (
-                "transport/link/tls",
-                {
-                    "root_ca_certificate": str(self.tls.ca),
-                    "listen_certificate": certificate,
-                    "listen_private_key": key,
-                    "connect_certificate": certificate,
-                    "connect_private_key": key,
-                    "enable_mtls": True,
-                    # Who it is says the certificate, not the address: see the rules.
-                    "verify_name_on_connect": False,
-                    "close_link_on_expiration": True,
-                },
-            )
-            yield "access_control", self._rules()
-
-    def _rules(self) -> dict[str, Any]:
-        """Return which keys are open to which certificate; all others are shut."""
-        rules: list[Any] = []
-        subjects: list[Any] = []
-        policies: list[Any] = []
-        for peer in self.peers:
-            subjects.append({"id": peer, "cert_common_names": [peer]})
-            mine = key_of(self.me, peer, "*"), key_of(peer, self.me, "*")
-            names = []
-            for flow, said, heard in (("ingress", *mine), ("egress", *mine[::-1])):
-                for kind, key in (("put", said), ("declare_subscriber", heard)):
-                    names.append(f"{peer} {flow} {kind}")
-                    rules.append(
-                        {
-                            "id": names[-1],
-                            "permission": "allow",
-                            "flows": [flow],
-                            "messages": [kind],
-                            "key_exprs": [key],
-                        }
-                    )
-            policies.append({"rules": names, "subjects": [peer]})
-        return {
+        if self.tls is None:
+            return told
+        mine = {"certificate": self.tls.certificate, "private_key": self.tls.key}
+        told["transport/link/tls"] = {
+            "root_ca_certificate": str(self.tls.ca),
+            **{f"listen_{name}": str(file) for name, file in mine.items()},
+            **{f"connect_{name}": str(file) for name, file in mine.items()},
+            "enable_mtls": True,
+            # Who it is says the certificate, not the address: see the rules.
+            "verify_name_on_connect": False,
+            "close_link_on_expiration": True,
+        }
+        rules = {peer: self._rules(peer) for peer in self.peers}
+        names = {peer: [rule["id"] for rule in rules[peer]] for peer in rules}
+        told["access_control"] = {
             "enabled": True,
             "default_permission": "deny",
-            "rules": rules,
-            "subjects": subjects,
-            "policies": policies,
+            "rules": [rule for peer in rules for rule in rules[peer]],
+            "subjects": [{"id": peer, "cert_common_names": [peer]} for peer in rules],
+            "policies": [{"rules": names[peer], "subjects": [peer]} for peer in rules],
         }
+        return told
+
+    def _rules(self, peer: str) -> list[dict[str, Any]]:
+        """Return which keys are open to the certificate of a peer; all others are shut."""
+        said, heard = key_of(self.me, peer, "*"), key_of(peer, self.me, "*")
+        return [
+            {
+                "id": f"{peer} {flow} {kind}",
+                "permission": "allow",
+                "flows": [flow],
+                "messages": [kind],
+                "key_exprs": [key],
+            }
+            for flow, kind, key in (
+                ("ingress", "put", said),
+                ("ingress", "declare_subscriber", heard),
+                ("egress", "put", heard),
+                ("egress", "declare_subscriber", said),
+            )
+        ]

@@ -3,27 +3,20 @@
 rclpy runs in a process of ROS's own interpreter (``_child.py``); it is never imported here.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
-from esair.loading import late
-
-if TYPE_CHECKING:
-    from esair.buses.ros._fake import FakeRos
-    from esair.buses.ros._forms import (
-        READY,
-        Form,
-        Image,
-        Imu,
-        Joints,
-        Odometry,
-        Scan,
-        Transform,
-        Twist,
-        form_of,
-    )
-    from esair.buses.ros._ros import Link, Process, Ros, look_at
+from esair.buses.ros._fake import FakeRos
+from esair.buses.ros._forms import (
+    READY,
+    Form,
+    Image,
+    Imu,
+    Joints,
+    Odometry,
+    Scan,
+    Transform,
+    Twist,
+    form_of,
+)
+from esair.buses.ros._ros import Link, Process, Ros, look_at
 
 __all__ = [
     "READY",
@@ -42,12 +35,3 @@ __all__ = [
     "form_of",
     "look_at",
 ]
-
-__getattr__, __dir__ = late(
-    __name__,
-    {
-        "_fake": "FakeRos",
-        "_forms": ("READY Form Image Imu Joints Odometry Scan Transform Twist form_of"),
-        "_ros": "Link Process Ros look_at",
-    },
-)

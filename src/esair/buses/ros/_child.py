@@ -27,7 +27,9 @@ from typing import Any
 BEAT = 0.05  # how often it beats, in seconds
 LOOK = 20  # beats after which it looks for other types, and tells what it wants
 UNKNOWN = "_NODE_NAME_UNKNOWN_"  # as DDS calls a node of which it has not heard yet
-WAITING = 64  # readings that may wait to be sent; what comes then is dropped
+SHARE = 4  # readings of one topic that may wait to be sent; what comes then is dropped
+KEPT = 1 << 20  # bytes that may wait: beyond that one reading of a topic
+WAITING = 64  # frames of the robot that may wait, and beats for it
 MOST = 1024  # of anything; a robot that does not listen is no robot, and it ends
 ASKED = 64  # requests of ROS that may be under way; what is asked then is refused
 
@@ -51,33 +53,57 @@ def _unblob(value: Any) -> Any:
     return base64.b64decode(value["#"]) if "#" in value else value
 
 
-def has_room(what: str, waiting: int) -> bool:
-    """Tell whether something may wait to be sent, behind so much."""
-    return waiting < (WAITING if what in {"reading", "beat"} else MOST)
+class Room:
+    """What waits to be sent: each topic has its share, and none crowds out another."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.waiting: dict[str, int] = {}
+        self.count = self.bytes = 0
+
+    def has(self, frame: Any) -> bool:
+        """Tell whether a frame may wait."""
+        if frame[0] == "reading":
+            there = self.waiting.get(str(frame[6:7]), 0)
+            return there < (SHARE if self.bytes < KEPT else 1)
+        return self.count < (WAITING if frame[0] == "beat" else MOST)
+
+    def add(self, frame: Any, size: int, number: int = 1) -> None:
+        """Count it; with -1 it has been sent."""
+        with self.lock:
+            self.count += number
+            self.bytes += number * size
+            if frame[0] == "reading":
+                topic = str(frame[6:7])
+                self.waiting[topic] = self.waiting.get(topic, 0) + number
 
 
 class Outbox:
-    """What waits to be sent to the robot, which a thread of its own does."""
+    """Sends to the robot what waits for that, in a thread of its own."""
 
     def __init__(self, write: Any, end: Any) -> None:
         self.write = write
         self.end = end
-        self.waiting: queue.Queue[bytes] = queue.Queue()
+        self.room = Room()
+        self.waiting: queue.Queue[tuple[Any, bytes]] = queue.Queue()
         threading.Thread(target=self._run, daemon=True).start()
 
     def send(self, frame: Any) -> bool:
         """Let a frame wait; tells whether there was room."""
-        waiting = self.waiting.qsize()
-        room = has_room(frame[0], waiting)
-        if room:
-            self.waiting.put(pack(frame))
-        elif waiting >= MOST:
+        if self.room.has(frame):
+            data = pack(frame)
+            self.room.add(frame, len(data))
+            self.waiting.put((frame, data))
+            return True
+        if self.room.count >= MOST:
             self.end("the robot does not listen: too much waits for it")
-        return room
+        return False
 
     def _run(self) -> None:
         while True:
-            self.write(self.waiting.get())
+            frame, data = self.waiting.get()
+            self.write(data)
+            self.room.add(frame, len(data), -1)
 
 
 class Bridge:

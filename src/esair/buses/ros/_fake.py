@@ -9,7 +9,7 @@ from typing import Any
 import attrs
 
 from esair.buses.peer import PeerBus
-from esair.buses.ros._child import BEAT, Bridge, has_room
+from esair.buses.ros._child import BEAT, Bridge, Room
 from esair.loop import spawn
 
 
@@ -35,6 +35,7 @@ class FakeRos:
         self.others: list[tuple[str, str, str, str]] = []
         self.topics: set[str] = set()
         self._bridge: Bridge | None = None
+        self._room = Room()
         self._frames: asyncio.Queue[list[Any] | None] = asyncio.Queue()
         self._beating: asyncio.Task[None] | None = None
         self._working: dict[int, asyncio.Task[None]] = {}
@@ -45,14 +46,13 @@ class FakeRos:
         loop = asyncio.get_running_loop()
         self.begun += 1
         self._stalled = False
-        frames: asyncio.Queue[list[Any] | None] = asyncio.Queue()
-        self._frames = frames
+        self._room, self._frames = Room(), asyncio.Queue()
 
         def send(frame: list[Any]) -> bool:
-            room = has_room(frame[0], frames.qsize())
-            if room:
-                frames.put_nowait(frame)
-            return room
+            if has_room := self._room.has(frame):
+                self._room.add(frame, 0)
+                self._frames.put_nowait(frame)
+            return has_room
 
         self._bridge = bridge = Bridge(send, loop.time)
         self.topics = {each["name"] for each in setup["links"]}
@@ -115,7 +115,9 @@ class FakeRos:
 
     async def take(self) -> list[Any] | None:
         """Return what it says next; None when it has ended."""
-        return await self._frames.get()
+        if (frame := await self._frames.get()) is not None:
+            self._room.add(frame, 0, -1)
+        return frame
 
     async def end(self) -> str:
         """End it."""

@@ -92,70 +92,64 @@ class Transform:
     rotation: tuple[float, ...]
 
 
-_FRAME: Final = {"frame": "header.frame_id"}
-_TWIST: Final = {"linear": "linear.x", "lateral": "linear.y", "angular": "angular.z"}
-_MOVED: Final = {
-    "parent": "header.frame_id",
-    "child": "child_frame_id",
-    "translation": "transform.translation:xyz",
-    "rotation": "transform.rotation:xyzw",
-    "x": "transform.translation.x",
-    "y": "transform.translation.y",
-    "heading": "transform.rotation:yaw",
-    **_FRAME,
-}
+def _paths(*texts: str) -> dict[str, str]:
+    """Return the paths of ``field=path``; a lone word is both."""
+    found = [each.partition("=") for text in texts for each in text.split()]
+    return {name: path or name for name, _, path in found}
+
+
+_FRAME: Final = "frame=header.frame_id"
+_MOVED: Final = _paths(
+    "parent=header.frame_id child=child_frame_id",
+    "translation=transform.translation:xyz rotation=transform.rotation:xyzw",
+    "x=transform.translation.x y=transform.translation.y",
+    "heading=transform.rotation:yaw",
+    _FRAME,
+)
 
 READY: Final[Mapping[str, tuple[type, Mapping[str, str]]]] = {
-    "geometry_msgs/msg/Twist": (Twist, _TWIST),
+    "geometry_msgs/msg/Twist": (
+        Twist,
+        _paths("linear=linear.x lateral=linear.y angular=angular.z"),
+    ),
     "geometry_msgs/msg/TwistStamped": (
         Twist,
-        {**_FRAME, **{name: f"twist.{path}" for name, path in _TWIST.items()}},
+        _paths(
+            "linear=twist.linear.x lateral=twist.linear.y angular=twist.angular.z",
+            _FRAME,
+        ),
     ),
     "sensor_msgs/msg/LaserScan": (
         Scan,
-        {
-            "first": "angle_min",
-            "step": "angle_increment",
-            "ranges": "ranges",
-            **_FRAME,
-        },
+        _paths("first=angle_min step=angle_increment ranges", _FRAME),
     ),
     "nav_msgs/msg/Odometry": (
         Odometry,
-        {
-            "x": "pose.pose.position.x",
-            "y": "pose.pose.position.y",
-            "heading": "pose.pose.orientation:yaw",
-            "child": "child_frame_id",
-            **{name: f"twist.twist.{path}" for name, path in _TWIST.items()},
-            **_FRAME,
-        },
+        _paths(
+            "x=pose.pose.position.x y=pose.pose.position.y",
+            "heading=pose.pose.orientation:yaw child=child_frame_id",
+            "linear=twist.twist.linear.x lateral=twist.twist.linear.y",
+            "angular=twist.twist.angular.z",
+            _FRAME,
+        ),
     ),
     "sensor_msgs/msg/JointState": (
         Joints,
-        {
-            "names": "name",
-            "positions": "position",
-            "velocities": "velocity",
-            "efforts": "effort",
-            **_FRAME,
-        },
+        _paths(
+            "names=name positions=position velocities=velocity efforts=effort", _FRAME
+        ),
     ),
     "sensor_msgs/msg/Imu": (
         Imu,
-        {
-            "orientation": "orientation:xyzw",
-            "rotation": "angular_velocity:xyz",
-            "acceleration": "linear_acceleration:xyz",
-            **_FRAME,
-        },
+        _paths(
+            "orientation=orientation:xyzw rotation=angular_velocity:xyz",
+            "acceleration=linear_acceleration:xyz",
+            _FRAME,
+        ),
     ),
     "sensor_msgs/msg/Image": (
         Image,
-        {
-            **{each: each for each in ("width", "height", "encoding", "step", "data")},
-            **_FRAME,
-        },
+        _paths("width height encoding step data", _FRAME),
     ),
     "geometry_msgs/msg/TransformStamped": (Transform, _MOVED),
     "tf2_msgs/msg/TFMessage": (Transform, _MOVED),
@@ -213,11 +207,11 @@ class Form:
         made: dict[str, Any] = {}
         for path, fixed in self.fixed.items():
             _put(made, path, fixed)
-        if isinstance(self.fields, str):
-            if self.fields:
-                _put(made, self.fields, value)
-                return made
+        if self.fields == "":
             return {**value, **made} if isinstance(value, dict) else value
+        if isinstance(self.fields, str):
+            _put(made, self.fields, value)
+            return made
         try:
             for name, path in self.fields.items():
                 if (part := getattr(value, name)) != "" or path not in self.fixed:

@@ -16,7 +16,7 @@ The other robot has to share them: ``[share.sonar]``, ``[share.wheels]``.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from typing import Any, Final, Unpack
 
 import attrs
@@ -193,7 +193,6 @@ class PeerActuator(Actuator[Any]):
         super().__init__(**settings)
         self._type = _type_of(self, type)
         self.remote: str = remote or self.name
-        self._forget: Callable[[], None] | None = None
 
     @property
     def value_type(self) -> Any:
@@ -201,40 +200,37 @@ class PeerActuator(Actuator[Any]):
         return self._type
 
     async def open(self) -> None:
-        """Look out for gaps between the beats of its owner."""
-        await self.close()
-        self._forget = self.bus.on_gap(self._gap)
-
-    async def close(self) -> None:
-        """Look out no more."""
-        if self._forget is not None:
-            self._forget()
-            self._forget = None
-
-    def _gap(self, seconds: float) -> None:
-        """Let nothing leave that waits from before a gap."""
-        if seconds > self.command_timeout:
-            told = f"{self.bus.name!r} was not heard for {seconds:.2g} s"
-            self.report_lost(DeviceLostError(self.name, told))
-            self.report_arrived()
+        """Begin anew: whether it is shared says the answer to the first release."""
+        self._is_known = False
 
     async def write(self, command: Any) -> Any:
         """Send a command with the newest beat heard, and wait for what its owner says.
 
         Returns:
-            What was applied there, or a refusal with the holder there.
+            What was applied there, or a refusal with the holder there; a refusal of the
+            peer where nothing was heard for longer than the command time-out.
 
         Raises:
             DeviceLostError: The peer is lost, or does not share it.
             DeviceFaultError: Its owner could not apply it.
         """
         bus = self.bus
-        if command is HOLD:
-            how, value = await bus.request("release", self.remote)
-        else:
-            how, value = await bus.request("write", self.remote, command)
+        what = ("release",) if command is HOLD else ("write", command)
+        how, value = await bus.request(
+            what[0], self.remote, *what[1:], patience=self.command_timeout
+        )
+        now = clock_of(asyncio.get_running_loop())()
         match how, value:
+            case "silent", _ if command is HOLD:
+                if not self._is_known:
+                    told = f"{bus.name!r} says nothing of {self.remote!r}"
+                    raise DeviceLostError(self.name, told)
+                return None  # its owner lets it go by itself
+            case "silent", float(seconds):
+                told = f"no answer for {seconds:.2g} s: what came of it is unknown"
+                return Refused(bus.name, 0, told, now - seconds, None)
             case "written", _:
+                self._is_known = True
                 return value
             case "refused", (
                 str(holder),
@@ -243,7 +239,6 @@ class PeerActuator(Actuator[Any]):
                 float(age),
                 (None | float()) as left,
             ):
-                now = clock_of(asyncio.get_running_loop())()
                 until = None if left is None else now + left
                 return Refused(f"{bus.name}:{holder}", priority, rule, now - age, until)
             case "lost", str(told):

@@ -1,0 +1,321 @@
+"""Two robots in two network namespaces, and what goes wrong on the way between them.
+
+``python -m tests.net.cuts --cuts 20`` makes a way of two TUN devices whose packets go through
+this process: each is late, some are lost, and while it is cut all are. It needs root.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import fcntl
+import heapq
+import itertools
+import json
+import os
+import random
+import select
+import signal
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import attrs
+
+import esair
+from esair.buses.peer import Network, PeerBus, Tls
+from esair.drivers.peer import Peer, PeerActuator
+from esair.peers import Share, Sharing
+from esair.testing import FakeActuator
+
+TIMEOUT = 0.2
+KINDS = ("cut", "from base", "from rover", "stop 0", "stop 1")
+"""What is cut: the way, one direction of it, and the process of the base or the rover."""
+
+ADDRESSES = {"base": "10.77.0.1", "rover": "10.77.0.2"}
+
+
+@attrs.frozen
+class Twist:
+    """A motion: when it was decided."""
+
+    decided: float
+    speed: float
+
+
+STILL = Twist(0.0, 0.0)
+
+
+# The two robots: each a process in its namespace.
+
+
+class Driving(esair.Behavior):
+    """Writes when it decided, fifty times a second, whatever becomes of it."""
+
+    wheels = esair.writes(Twist)
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.02):
+            with contextlib.suppress(esair.EsairError):
+                await self.wheels.write(Twist(time.monotonic(), 1.0))
+
+
+def network(me: str, peer: str, certificates: str) -> Network:
+    end = f"{'tls' if certificates else 'tcp'}/{ADDRESSES['base']}:7447"
+    ends: dict[str, Any] = {"listen" if me == "base" else "connect": [end]}
+    if certificates:
+        files = [Path(certificates) / each for each in ("ca.pem", f"{me}.pem")]
+        ends["tls"] = Tls(*files, Path(certificates) / f"{me}.key")
+    return Network(me=me, peers=[peer], insecure=True, **ends)
+
+
+def base(certificates: str) -> esair.Robot:
+    """Has the wheels, and prints what they are told."""
+    wheels = FakeActuator("wheels", safe=STILL, command_timeout=TIMEOUT)
+    bus = PeerBus(name="rover", network=network("base", "rover", certificates))
+    bus.declare(Twist)
+    sharing = Sharing(bus=bus, shares=[Share("wheels", "write", priority=5)])
+    robot = esair.Robot(
+        name="base",
+        resources=[wheels, Peer(name="rover", bus=bus)],
+        behaviors=[sharing],
+    )
+
+    def heard(event: Any) -> None:
+        if event.kind.value in {"sent", "safe"} and event.component == "wheels":
+            decided = event.value.decided if event.kind.value == "sent" else None
+            sys.stdout.write(json.dumps([time.monotonic(), decided]) + "\n")
+            sys.stdout.flush()
+
+    robot.journal.listen(heard)
+    return robot
+
+
+def rover(certificates: str) -> esair.Robot:
+    """Drives the wheels of the base."""
+    bus = PeerBus(name="base", network=network("rover", "base", certificates))
+    wheels = PeerActuator(name="wheels", bus=bus, type=Twist)
+    return esair.Robot(
+        name="rover",
+        resources=[Peer(name="base", bus=bus), wheels],
+        behaviors=[Driving()],
+    )
+
+
+# The way between them.
+
+
+class Way(threading.Thread):
+    """Carries packets between two namespaces, as late and as badly as it is told."""
+
+    def __init__(self, delay: float, loss: float, seed: int) -> None:
+        super().__init__(daemon=True)
+        self.delay, self.loss = delay, loss
+        self.cut: set[int] = set()
+        """The ends from which nothing comes any more: 0 the base, 1 the rover."""
+        self.over = False
+        self._chance = random.Random(seed)
+        self._ends: list[int] = []
+        self.names = [f"{who}{os.getpid()}" for who in ADDRESSES]
+
+    def __enter__(self) -> Way:
+        for number, (name, address) in enumerate(
+            zip(self.names, ADDRESSES.values(), strict=True)
+        ):
+            device = f"t{number}n{os.getpid()}"
+            end = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK)
+            self._ends.append(end)
+            made = struct.pack("16sH22x", device.encode(), 0x1001)  # TUN, no header
+            fcntl.ioctl(end, 0x400454CA, made)  # TUNSETIFF
+            for command in (
+                f"netns add {name}",
+                f"link set {device} netns {name}",
+                f"-n {name} link set lo up",
+                f"-n {name} addr add {address}/24 dev {device}",
+                f"-n {name} link set {device} up",
+            ):
+                subprocess.run(["ip", *command.split()], check=True)
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.over = True
+        self.join()
+        for name, end in zip(self.names, self._ends, strict=True):
+            os.close(end)
+            subprocess.run(["ip", "netns", "del", name], check=True)
+
+    def run(self) -> None:
+        due: list[tuple[float, int, int, bytes]] = []
+        numbers = itertools.count()
+        while not self.over:
+            wait = max(0.0, due[0][0] - time.monotonic()) if due else 0.1
+            for end in select.select(self._ends, [], [], min(wait, 0.1))[0]:
+                number, packet = self._ends.index(end), os.read(end, 1 << 16)
+                if number not in self.cut and self._chance.random() >= self.loss:
+                    at = time.monotonic() + self.delay
+                    heapq.heappush(due, (at, next(numbers), number, packet))
+            while due and due[0][0] <= time.monotonic():
+                _, _, number, packet = heapq.heappop(due)
+                if number not in self.cut:
+                    with contextlib.suppress(OSError):
+                        os.write(self._ends[1 - number], packet)
+
+
+class Robots:
+    """The two processes, and what the wheels of the base were told."""
+
+    def __init__(self, way: Way, certificates: str) -> None:
+        self.told: list[tuple[float, float | None]] = []
+        self.processes = [
+            subprocess.Popen(
+                [
+                    *("ip", "netns", "exec", name, sys.executable, "-m"),
+                    *("tests.net.cuts", "--be", who, "--certificates", certificates),
+                ],
+                stdout=subprocess.PIPE if who == "base" else None,
+                stderr=None if os.environ.get("LOUD") else subprocess.DEVNULL,
+            )
+            for who, name in zip(ADDRESSES, way.names, strict=True)
+        ]
+        threading.Thread(target=self._hear, daemon=True).start()
+
+    def _hear(self) -> None:
+        stream = self.processes[0].stdout
+        assert stream is not None
+        for line in stream:
+            at, decided = json.loads(line)
+            self.told.append((at, decided))
+
+    def fresh(self, since: float, seconds: float) -> float | None:
+        """Return when the first command was sent that was decided after a moment."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            for at, decided in reversed(self.told):
+                if at < since:
+                    break
+                if decided is not None and decided >= since:
+                    first = [a for a, d in self.told if d is not None and d >= since]
+                    return first[0]
+            time.sleep(0.005)
+        return None
+
+    def end(self) -> None:
+        for process in self.processes:
+            process.send_signal(signal.SIGCONT)
+            process.terminate()
+        for process in self.processes:
+            process.wait()
+
+
+@attrs.frozen
+class Cut:
+    """What came of one: in seconds; old: commands that were too old."""
+
+    kind: str
+    length: float
+    old: int
+    safe: float | None
+    fresh: float | None
+
+
+def cuts(
+    number: int,
+    *,
+    seed: int = 1,
+    delay: float = 0.005,
+    loss: float = 0.0,
+    certificates: str = "",
+    lengths: tuple[float, float] = (0.1, 10.0),
+    kinds: tuple[str, ...] = KINDS,
+) -> Iterator[Cut]:
+    """Cut the way, and stop the robots, so many times."""
+    chance = random.Random(seed)
+    with Way(delay, loss, seed) as way:
+        robots = Robots(way, certificates)
+        try:
+            if robots.fresh(time.monotonic(), 20.0) is None:
+                raise RuntimeError("the robots do not meet")
+            for count in range(number):
+                time.sleep(chance.uniform(0.3, 1.3))
+                kind = kinds[count % len(kinds)]
+                length = lengths[0] * (lengths[1] / lengths[0]) ** chance.random()
+                begin = time.monotonic()
+                stopped = (
+                    robots.processes[int(kind[-1])] if kind[:4] == "stop" else None
+                )
+                if stopped is not None:
+                    stopped.send_signal(signal.SIGSTOP)
+                else:
+                    way.cut = {"cut": {0, 1}, "from base": {0}}.get(kind, {1})
+                time.sleep(length)
+                healed = time.monotonic()
+                if stopped is not None:
+                    stopped.send_signal(signal.SIGCONT)
+                way.cut = set()
+                fresh = robots.fresh(healed, 15.0)
+                time.sleep(0.1)
+                yield _judged(robots, way, kind, begin, healed, fresh)
+        finally:
+            robots.end()
+
+
+def _judged(
+    robots: Robots,
+    way: Way,
+    kind: str,
+    begin: float,
+    healed: float,
+    fresh: float | None,
+) -> Cut:
+    told = [each for each in robots.told if each[0] >= begin - 0.2]
+    moved = [(at, decided) for at, decided in told if decided is not None]
+    # The decision was made before the echo it carries could come: a beat, and both ways.
+    limit = TIMEOUT + 2.0 * way.delay + 0.01
+    old = sum(at >= begin and at - decided > limit for at, decided in moved)
+    before = [at for at, _ in moved if at < (healed if fresh is None else fresh)]
+    safe = None
+    if before and healed - before[-1] > TIMEOUT + 0.1:
+        last = max(before[-1], healed - TIMEOUT if kind == "stop 0" else 0.0)
+        still = [at for at, decided in told if decided is None and at >= before[-1]]
+        safe = (still[0] if still else 1e9) - last
+    first = None if fresh is None else fresh - healed
+    return Cut(kind, healed - begin, old, safe, first)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--be", choices=list(ADDRESSES))
+    parser.add_argument("--certificates", default="")
+    parser.add_argument("--cuts", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--delay", type=float, default=0.005)
+    parser.add_argument("--loss", type=float, default=0.0)
+    parser.add_argument("--lengths", type=float, nargs=2, default=(0.1, 10.0))
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    given = parser.parse_args()
+    if given.be is not None:
+        robot = {"base": base, "rover": rover}[given.be](given.certificates)
+        esair.run(robot)
+        return
+    for cut in cuts(
+        given.cuts,
+        seed=given.seed,
+        delay=given.delay,
+        loss=given.loss,
+        certificates=given.certificates,
+        lengths=given.lengths,
+        kinds=tuple(given.kinds.split(",")),
+    ):
+        told = (cut.kind, cut.length, cut.old, cut.safe, cut.fresh)
+        sys.stdout.write(json.dumps(told) + "\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

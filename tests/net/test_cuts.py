@@ -1,0 +1,53 @@
+"""Two processes over zenoh and TCP, in two network namespaces: cuts, loss and stops."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from tests.net.cuts import KINDS, TIMEOUT, cuts
+
+pytest.importorskip("zenoh")
+pytestmark = [
+    pytest.mark.real_clock,
+    pytest.mark.soak,
+    pytest.mark.promise("NET-3", "NET-4"),
+]
+
+
+@pytest.fixture
+def namespaces() -> None:
+    """Skip where no network namespace can be made."""
+    if shutil.which("ip") is None or not os.access("/dev/net/tun", os.W_OK):
+        pytest.skip("needs the program ip, and /dev/net/tun")
+    name = f"try{os.getpid()}"
+    made = subprocess.run(
+        ["ip", "netns", "add", name], capture_output=True, check=False
+    )
+    if made.returncode != 0 or not Path(f"/run/netns/{name}").exists():
+        pytest.skip(f"no network namespaces here: {made.stderr.decode().strip()}")
+    subprocess.run(["ip", "netns", "del", name], check=True)
+
+
+@pytest.mark.usefixtures("namespaces")
+@pytest.mark.parametrize("kind", KINDS)
+def test_cuts(kind: str) -> None:
+    """No old command, safe in time, back by itself: a hundred times each."""
+    found = list(cuts(100, kinds=(kind,)))
+
+    assert sum(each.old for each in found) == 0
+    assert max(each.safe for each in found if each.safe is not None) < TIMEOUT + 0.05
+    late = [each for each in found if each.fresh is None or each.fresh > 0.5]
+    assert late == []
+
+
+@pytest.mark.usefixtures("namespaces")
+def test_cuts_of_a_bad_way() -> None:
+    """With delay and loss it takes as long as TCP takes, and comes back by itself."""
+    found = list(cuts(50, kinds=("cut",), delay=0.02, loss=0.02))
+
+    assert sum(each.old for each in found) == 0
+    assert all(each.fresh is not None for each in found)
