@@ -16,17 +16,16 @@ from esair.connections._gate import (
     Gate,
     Hold,
     LastCommand,
+    Registration,
     explain,
     shut,
     verdict,
 )
 from esair.connections._protection import Guards, Protection, Stillness
-from esair.connections._registrations import Registration
 from esair.connections._turns import Decision, Sent, WaitingWrites
 from esair.connections._wire import IDLE, NOT_YET, SafeCommand, Wire
 from esair.exceptions import (
     AccessDeniedError,
-    DeviceLostError,
     EsairError,
     HaltedError,
     ResourceRemovedError,
@@ -361,17 +360,13 @@ class ActuatorChannel(Device):
         held.seconds = hold or registration.hold or wire.command_timeout
         by = None
         if not is_plain:
-            stop, by, command = self._protected(command, now)
+            stop, by, command = self._protected(command)
             if stop is not None:
                 return self._refuse(registration, stop.refusal())
         if not self._dead_man.armed:
             self._dead_man.arm()
         guard = self.gate.ticket(registration, expires) if wire.blocks else None
-        try:
-            sent = wire.send(command, registration.behavior, self._ended, guard)
-        except EsairError as error:
-            failed = self._in_doubt(error, command)
-            raise failed from failed.__cause__
+        sent = wire.send(command, registration.behavior, self._ended, guard)
         if sent is not None or wire.applied is not None:
             return self._sent(sent, registration, command, asked, by)
         # Most drivers say nothing.
@@ -444,11 +439,7 @@ class ActuatorChannel(Device):
         if self.stillness.moves:
             self.stillness.disarm()  # that motion is over, and its time-out with it
         guard = self.gate.ticket(registration) if wire.blocks else None
-        try:
-            sent = wire.send(command, registration.behavior, self._ended, guard)
-        except EsairError as error:
-            failed = self._in_doubt(error, command)
-            raise failed from failed.__cause__
+        sent = wire.send(command, registration.behavior, self._ended, guard)
         return self._sent(sent, registration, command, command, None)
 
     def _check_watch(self) -> None:
@@ -456,15 +447,13 @@ class ActuatorChannel(Device):
         if watch is not None and not watch.may_move():
             raise StoppingError(self.name, "made safe by the watchdog")
 
-    def _protected(
-        self, command: Any, now: float
-    ) -> tuple[Protection | None, str | None, Any]:
+    def _protected(self, command: Any) -> tuple[Protection | None, str | None, Any]:
         """Return the guard that refuses a command, who has weakened it, and what passes."""
         guards, stillness = self.guards, self.stillness
         stop: Protection | None = None
         by: str | None = None
         if guards.all:
-            stop, by, command = guards.weigh(command, now, moving=stillness.moves)
+            stop, by, command = guards.weigh(command, moving=stillness.moves)
             if stop is not None:
                 stillness.stay()
                 return stop, by, None
@@ -500,7 +489,7 @@ class ActuatorChannel(Device):
                 raise refused from None
             return self._refuse(right, refused)
         except Exception as error:
-            failed = self._in_doubt(self.wire.translated(error), command)
+            failed = self.wire.in_doubt(self.wire.translated(error), command)
             raise failed from failed.__cause__
         return self._applied(right, command, applied, sending.asked, sending.by)
 
@@ -538,16 +527,6 @@ class ActuatorChannel(Device):
                 Kind.APPLIED, self.name, registration.behavior, applied
             )
         return Written(applied, asked, by)
-
-    def _in_doubt(self, failed: EsairError, command: Any) -> EsairError:
-        if not isinstance(failed, DeviceLostError):
-            return failed
-        doubt = f"it is unknown whether {command!r:.80} was applied, it is not repeated"
-        doubtful = DeviceLostError(
-            self.name, f"{failed.detail}; {doubt}" if failed.detail else doubt
-        )
-        doubtful.__cause__ = failed
-        return doubtful
 
     # Refusals.
 
