@@ -462,12 +462,12 @@ class Calls:
         try:
             value = self._begin_untaped(kind, method, args, limit, guard)
         except Exception as error:
-            tape.first(tag, First(waits=False, value=None, error=error))
+            tape.first(tag, First(error=error))
             raise
         if type(value) is not Call:
-            tape.first(tag, First(waits=False, value=value, error=None))
+            tape.first(tag, First(value=value))
             return value
-        number = tape.first(tag, First(waits=True, value=None, error=None))
+        number = tape.first(tag, First(waits=True))
         value.taped = lambda end: tape.arrived(tag, tuple(end), number=number)
         return value
 

@@ -16,8 +16,8 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from esair.abc import Connection
 from esair.connections._actuator_channel import ActuatorChannel
+from esair.connections._gate import Registration, run_ended
 from esair.connections._protection import Protections
-from esair.connections._registrations import Registration, run_ended
 from esair.connections._sensor_channel import READ_TIMEOUT, SensorChannel
 from esair.exceptions import (
     EsairError,

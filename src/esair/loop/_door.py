@@ -318,7 +318,7 @@ def ask_outside(tag: Tag, look: Callable[[], T]) -> T:
             return value
     value = look()
     if isinstance(tape, TapeWriter):
-        tape.first(tag, First(waits=False, value=value, error=None))
+        tape.first(tag, First(value=value))
     return value
 
 

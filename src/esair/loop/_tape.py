@@ -53,12 +53,12 @@ class Arrived(NamedTuple):
 class First(NamedTuple):
     """What a call gave without a wait: a value, an error, or that it waits."""
 
-    waits: bool
-    value: Any
-    error: BaseException | None
+    waits: bool = False
+    value: Any = None
+    error: BaseException | None = None
 
 
-WAITS = First(waits=True, value=None, error=None)
+WAITS = First(waits=True)
 
 
 class TapeWriter:
@@ -229,7 +229,7 @@ class Player:
             except Exception as error:  # it is a file of anybody
                 self.fail(error)
         if self.is_over:
-            return number, First(waits=False, value=None, error=_lost(tag))
+            return number, First(error=_lost(tag))
         return number, WAITS
 
     def expect(self, tag: Tag, number: int, end: Callable[[Any], object]) -> None:

@@ -342,12 +342,8 @@ class Results:
                 arrive(future, result)
             else:
                 future.set_result(result)
-        elif isinstance(error, Exception) and not isinstance(error, StopIteration):
-            future.set_exception(error)
-        else:  # raised in a task, it would end the task, or the process
-            wrapped = RuntimeError(f"the driver raised {type(error).__name__}")
-            wrapped.__cause__ = error
-            future.set_exception(wrapped)
+        else:  # as it is it could end the task, or the process
+            future.set_exception(raisable(error, "the driver"))
 
     def _expire(self) -> None:
         now = self.time() + REACHED
