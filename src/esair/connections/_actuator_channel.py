@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Generator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from esair.connections._calls import Call, End, Method
 from esair.connections._device import Device, OfRobot, Operating
@@ -45,37 +45,16 @@ _new = Written.__new__  # hot
 _SENT: Written[Any] = Written(None)  # the answer to who does not look at it
 
 
-class Sending:
+class Sending(NamedTuple):
     """A write that waits for the device: await it for its outcome."""
 
-    __slots__ = (
-        "asked",
-        "by",
-        "call",
-        "channel",
-        "command",
-        "fence",
-        "halts",
-        "registration",
-    )
-
-    def __init__(
-        self,
-        channel: ActuatorChannel,
-        call: Call,
-        registration: Registration,
-        command: Any,
-        asked: Any,
-        by: str | None,
-    ) -> None:
-        self.channel: ActuatorChannel = channel
-        self.call: Call = call
-        self.registration: Registration = registration
-        self.command: Any = command
-        self.asked: Any = asked
-        self.by: str | None = by
-        self.halts: int = channel.gate.halts
-        self.fence: int = channel.gate.fence
+    channel: ActuatorChannel
+    call: Call
+    registration: Registration
+    command: Any
+    asked: Any
+    by: str | None
+    halts: int  # how many there were when it left
 
     def __await__(self) -> Generator[Any, Any, Written[Any] | Refused]:
         return self.channel.finish(self).__await__()
@@ -392,7 +371,7 @@ class ActuatorChannel(Device):
         """Return what comes of a command that the driver has."""
         if type(sent) is Call:
             sent.owner = right
-            return Sending(self, sent, right, command, asked, by)
+            return Sending(self, sent, right, command, asked, by, self.gate.halts)
         self.writes += 1
         self.wire.took(command, sent)
         return self._applied(right, command, sent, asked, by)

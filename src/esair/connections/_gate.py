@@ -165,16 +165,20 @@ class Registrations:
 
     def refusal(self, registration: Registration) -> EsairError:
         """Make the error for the use of a registration that does not allow it."""
-        if not isinstance(registration, Registration):
-            return NotRegisteredError(
-                "?", "?", f"{registration!r:.80} is no registration"
-            )
-        if registration.reason is not None:
-            return registration.reason()
-        detail = "its registration was revoked"
-        if self.live.get(registration.number) is registration:
-            detail = f"its registration is for {registration.access} only"
-        return NotRegisteredError(registration.behavior, registration.resource, detail)
+        is_live = self.live.get(getattr(registration, "number", 0)) is registration
+        return refusal(registration, is_live=is_live)
+
+
+def refusal(registration: object, *, is_live: bool = False) -> EsairError:
+    """Make the error for the use of a registration that does not allow it."""
+    if not isinstance(registration, Registration):
+        return NotRegisteredError("?", "?", f"{registration!r:.80} is no registration")
+    if registration.reason is not None:
+        return registration.reason()
+    detail = "its registration was revoked"
+    if is_live:
+        detail = f"its registration is for {registration.access} only"
+    return NotRegisteredError(registration.behavior, registration.resource, detail)
 
 
 def run_ended(behavior: str, resource: str = "robot") -> NotRegisteredError:
