@@ -142,11 +142,8 @@ class Driver:
         is_plain = not inspect.iscoroutinefunction(function)
         if is_plain and self.resource.blocking:
             self.uses_threads = True
-            return Method(function, self._get_executor, name)
+            return Method(function, lambda: self.executor, name)
         return Method(function, None, name, is_plain)
-
-    def _get_executor(self) -> Executor:
-        return self.executor
 
     async def call(self, name: str, *args: Any, **options: Any) -> Any:
         """Call a method where it belongs, and wait for what it returns."""

@@ -1,13 +1,13 @@
 """The one door: what comes in from outside takes effect in one order.
 
-An entry gets a number and a time when it comes in. Entries take effect in the order of
-their numbers, at the next border of the loop. On a virtual clock what comes from threads
-ripens before: news when nothing is ready, ends of works when no thread is at work either,
-in the order in which the work was given out. So a run repeats, however long threads take.
+Entries take effect in the order in which they come in, at the next border of the loop. On a
+virtual clock what comes from threads ripens before: news when nothing is ready, ends of
+works when no thread is at work either, in the order in which the work was given out. So a
+run repeats, however long threads take.
 
 What one callback of the loop brings is an `Arrivals`: driver calls that wait for it go on
-in that callback. What a robot asks of the world beside
-its drivers (`outside`, `ask_outside`, `News`) is kept, and answered from the tape.
+in that callback. What a robot asks of the world beside its drivers (`outside`,
+`ask_outside`, `News`) is kept, and answered from the tape.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import itertools
 import logging
 import threading
 from collections.abc import Callable, Coroutine
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from esair.loop._light_task import LightTask, settle
@@ -118,7 +119,6 @@ class Door(OfTurn):
     def __init__(self, turn: Turn) -> None:
         self._turn = turn
         self._arrivals = Arrivals.of(turn.loop)
-        self._time = turn.time
         self.player: Player | None = turn.player
         """What repeats a run on this loop, sooner or later."""
         self._holds = turn.virtual
@@ -232,9 +232,7 @@ class Door(OfTurn):
                 else:
                     self.at_work -= 1
             self.number += 1
-            entry = _new(
-                Entry, (self.number, self._time(), work, tag, function, arguments)
-            )
+            entry = _new(Entry, (work, tag, function, arguments))
             divert = self.divert
             if divert is None or (work and tag[0] != "thread"):
                 self._add(entry)
@@ -264,9 +262,7 @@ class Door(OfTurn):
             return  # in a replay it comes from the tape
         with self._lock:
             self.number += 1
-            self.entries.append(
-                Entry(self.number, self._time(), 0, tag, function, arguments)
-            )
+            self.entries.append(_new(Entry, (0, tag, function, arguments)))
         self._turn.expect()
 
     def ripen(self, *, works: bool) -> bool:
@@ -284,7 +280,9 @@ class Door(OfTurn):
                 left = [each for each in brought if not works and each.work]
                 brought.clear()
                 brought.extend(left)
-                self.entries.extend(sorted(ripe, key=_by_work) if works else ripe)
+                self.entries.extend(
+                    sorted(ripe, key=itemgetter(0, 1)) if works else ripe
+                )
         return bool(ripe)
 
     def take(self) -> None:
@@ -295,17 +293,13 @@ class Door(OfTurn):
         entries = self.entries
         with self._arrivals:
             while entries:
-                _, _, _, tag, function, arguments = entries.popleft()
+                _, tag, function, arguments = entries.popleft()
                 if tag[0] == "thread" and isinstance(self.tape, TapeWriter):
                     self.tape.arrived(tag, number=1)
                 try:
                     function(*arguments)
                 except Exception:
                     _log.exception("what came in from %s raised", " ".join(tag))
-
-
-def _by_work(entry: Entry) -> tuple[int, Tag, int]:
-    return entry.work, entry.tag, entry.number
 
 
 def ask_outside(tag: Tag, look: Callable[[], T]) -> T:

@@ -137,7 +137,6 @@ class StallWatch(OfLoop):
         self._limits: list[float] = []
         self._asked: float | None = None
         self._said = False
-        self.stalls: int = 0  # how often the loop was held too long
 
     def start(self, limit: float) -> None:
         """Watch for turns that take longer than a limit, in seconds."""
@@ -161,7 +160,6 @@ class StallWatch(OfLoop):
                 self._loop.call_soon_threadsafe(self._answer)
         elif not self._said and now - self._asked >= limit:
             self._said = True
-            self.stalls += 1
             frame = sys._current_frames().get(self._thread)  # noqa: SLF001 - the only way to see it
             if frame is not None:
                 _log.log(*describe_holder(frame), limit)

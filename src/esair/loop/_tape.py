@@ -33,8 +33,6 @@ SPOILED: Tag = ("spoiled",)
 class Entry(NamedTuple):
     """What has come in."""
 
-    number: int  # grows by one with each entry
-    time: float  # when it came in, in seconds of the loop's clock
     work: int  # the number of the work that it is the end of; 0 if it is none
     tag: Tag
     function: Callable[..., object]  # what lets it take effect, in the loop
