@@ -12,15 +12,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from esair.loading import late
+from esair.watchdog._limit import LIMIT
 
 if TYPE_CHECKING:
     from esair.watchdog._frames import Outlet, SafeFrames, can_frame
     from esair.watchdog._watchdog import Watchdog
 
 __all__ = ["LIMIT", "Outlet", "SafeFrames", "Watchdog", "can_frame"]
-
-LIMIT = 0.25
-"""How long the scheduler may stand still while something moves, in seconds."""
 
 
 # Loaded by who needs it: it is a tenth of the time that `import esair` takes.

@@ -14,8 +14,8 @@ from typing import Literal
 
 import attrs
 
-from esair.watchdog import LIMIT
 from esair.watchdog._frames import Outlet, SafeFrames
+from esair.watchdog._limit import LIMIT
 from esair.watchdog._process import Process
 
 ANSWER_WITHIN = 1.0  # How long an answer is waited for that changes nothing, in seconds
