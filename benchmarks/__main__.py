@@ -62,7 +62,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("--only", default="", help="goals to measure, such as P1,P5")
     parser.add_argument(
-        "--loop", choices=["asyncio", "esair", "uvloop"], default="asyncio"
+        "--loop",
+        choices=["esair", "asyncio", "uvloop"],
+        default="esair",
+        help="what cases run on: the loop of esair.run, unless given",
     )
     parser.add_argument(
         "--smoke", action="store_true", help="see that all cases run; measure nothing"
@@ -82,13 +85,13 @@ def main() -> None:
     if arguments.smoke:
         _shorten()
     wanted = {goal for goal in arguments.only.upper().split(",") if goal}
-    factory: Callable[[], asyncio.AbstractEventLoop] | None = None
+    factory: Callable[[], asyncio.AbstractEventLoop] | None = TurnLoop
     if arguments.loop == "uvloop":
         import uvloop
 
         factory = uvloop.new_event_loop
-    elif arguments.loop == "esair":  # that of esair.run
-        factory = TurnLoop
+    elif arguments.loop == "asyncio":
+        factory = None
     begin, load = time.perf_counter(), os.getloadavg()[0]
     rows: list[Row] = []
     for goals, case in CASES.items():

@@ -63,7 +63,7 @@ PARTS_OF_ONE = {
     },
     "esair.connections": {
         *("_actuator_channel", "_device", "_gate"),
-        *("_protection", "_registrations", "_sensor_channel", "_turns"),
+        *("_protection", "_sensor_channel", "_turns"),
     },
     "esair.seat": {"_acts", "_operator"},
     "esair.standard": {"_recording", "_robot"},

@@ -99,3 +99,16 @@ def test_a_change_fails_with_its_numbers_and_the_command_that_accepts_it(
     assert refused.returncode == 1
     assert f"{case}: {was.codes:g} codes, accepted" in refused.stderr
     assert ACCEPT in refused.stderr
+
+
+@pytest.mark.long
+def test_benchmarks_measure_the_loop_that_ships() -> None:
+    """Unless another one is asked for; the table says which."""
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks", "--smoke", "--only", "P18"],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=Path(counts.__file__).parents[1],
+    )
+    assert "loop: esair" in done.stdout

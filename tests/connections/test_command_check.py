@@ -21,7 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import esair
-from esair.connections._checks import CommandCheck
+from esair.connections._values import CommandCheck
 from esair.messages import Refused
 from esair.plan import Finding, examine_resource
 from esair.plan import Plan as RobotPlan

@@ -10,7 +10,7 @@ import time
 import pytest
 
 from esair.exceptions import BusyError, DriverStuckError
-from esair.loop import Door, Executor
+from esair.loop import Executor, turn_of
 
 pytestmark = pytest.mark.real_clock
 
@@ -48,16 +48,16 @@ async def test_calls_run_in_order_on_one_thread() -> None:
 @pytest.mark.promise("BUS-1")
 async def test_results_that_are_ready_together_wake_the_loop_once(monkeypatch) -> None:
     """A burst costs less than as many single calls."""
-    bell = Door.of(asyncio.get_running_loop()).bell
+    turn = turn_of(asyncio.get_running_loop())
     wakes = 0
-    ring = bell.ring
+    ring = turn.ring
 
     def counting():
         nonlocal wakes
         wakes += 1
         ring()
 
-    monkeypatch.setattr(bell, "ring", counting)
+    monkeypatch.setattr(turn, "ring", counting)
     executor = Executor("bus")
     calls = [
         asyncio.ensure_future(executor.call(int, "7", timeout=5.0)) for _ in range(20)

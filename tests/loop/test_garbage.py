@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 import gc
 import json
 import subprocess
@@ -65,20 +66,51 @@ def test_nothing_is_looked_at_while_a_robot_stops(*, stops: bool, looks: bool) -
 
 
 @pytest.mark.promise("ROB-7")
+@pytest.mark.parametrize(("grown", "looks"), [(1.9, False), (2.1, True)])
 def test_all_is_looked_at_when_there_is_twice_as_much(
-    collector: Collector, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch, grown: float, looks: bool
 ) -> None:
-    """What became garbage after it was set aside is collected in the end."""
-    monkeypatch.setattr(_garbage, "FEW", 1_000)
+    """What became garbage after it was set aside is collected then, and not before.
+
+    A look takes as long as the whole program is large, so that it may not come when a
+    large one has grown by a little: a robot of a thousand sensors fills its histories.
+    """
+    monkeypatch.setattr(_garbage, "LONG", 0.0)  # each collection is a long one
+    monkeypatch.setattr(_garbage, "_USUAL", 1e-12)
+    monkeypatch.setattr(sys, "getallocatedblocks", lambda: 1_000_000)
+    collector = Collector()
+    collector.start()
+    collector.is_up()
     circle: list[object] = []
     circle.append(circle)
     held = [[number] for number in range(50_000)]
-    collector.collect()
+    monkeypatch.setattr(sys, "getallocatedblocks", lambda: round(grown * 1_000_000))
+    collector.collect()  # sets it aside
     del circle
     before = collector.collected
     collector.collect()
-    assert collector.collected > before
+    assert (collector.collected > before) is looks
+    collector.is_down()
+    collector.stop()
     assert len(held) == 50_000
+
+
+@pytest.mark.promise("ROB-7")
+def test_what_came_is_not_taken_for_less() -> None:
+    """The pause of a collection is bounded by it; most has died young meanwhile."""
+    alive: collections.deque[object] = collections.deque(maxlen=4_000)
+    collector = Collector()
+    collector.start()
+    collector.is_up()
+    gc.collect()
+    collector.is_down()  # it tells the interpreter anew, and begins to count
+    for _ in range(100_000):
+        circle: list[object] = []
+        circle.append(circle)
+        alive.append(circle)
+    came = collector.came()
+    assert gc.collect() <= came <= 60_000  # those that are alive, too
+    collector.stop()
 
 
 LITTER = """

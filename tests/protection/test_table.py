@@ -11,6 +11,7 @@ import pytest
 
 import esair
 from esair.connections import BLIND, UNDECIDED, Protection, Protections
+from esair.loop import REACHED
 
 pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("PRO-2", "PRO-7")]
 
@@ -54,8 +55,7 @@ def channels(**named: Channel) -> Any:
 
 
 def weigh(entry: Protection, command: Any, *, moving: bool = True) -> Any:
-    now = asyncio.get_running_loop().time()
-    return entry.weigh(command, 0.0, now, moving=moving, hand=lambda each: each)
+    return entry.weigh(command, 0.0, moving=moving, hand=lambda each: each)
 
 
 def deciding(entry: Protection, judge: Any = lambda command: command) -> Protection:
@@ -165,6 +165,18 @@ async def test_the_end_of_a_mute_is_told() -> None:
     table.mute(entries, 0.0, "")
     assert wheels.holds == ["hold_5"]
     await asyncio.sleep(1.1)
+
+
+async def test_a_mute_ends_for_all_who_ask_at_the_same_moment() -> None:
+    """A timer may come a hair early: then it is over, whoever looks."""
+    table = Protections(channels(wheels=Channel()))
+    entry = deciding(guard(), lambda _: None)
+    table.enter([entry])
+    entry.muted_until = asyncio.get_running_loop().time() + REACHED / 2
+    assert weigh(entry, 0.5) is None
+    entry.note(stops=True)
+    assert entry.stops
+    assert "MUTED" not in entry.describe()
 
 
 async def test_a_mute_that_is_over_leaves_nothing_behind() -> None:
@@ -278,7 +290,7 @@ async def test_what_nobody_can_compare_passes_as_it_was_handed() -> None:
 
     def given(judge: Any, command: Any, safe: Any) -> Any:
         entry = deciding(guard(), judge)
-        return entry.weigh(command, safe, 0.0, moving=True, hand=copy.copy)
+        return entry.weigh(command, safe, moving=True, hand=copy.copy)
 
     opaque, parts = Opaque(), Parts(1.0)
     assert given(lambda handed: handed, opaque, Opaque()) is opaque

@@ -31,7 +31,6 @@ from esair.connections._calls import (
     is_loss,
     translate,
 )
-from esair.connections._checks import CommandCheck
 from esair.connections._device import OfRobot
 from esair.connections._gate import (
     HALT,
@@ -39,7 +38,11 @@ from esair.connections._gate import (
     Halt,
     Halting,
     LastCommand,
+    Registration,
+    Registrations,
     Stopped,
+    Terms,
+    run_ended,
 )
 from esair.connections._ports import (
     ActuatorConnection,
@@ -50,12 +53,6 @@ from esair.connections._ports import (
     SensorPort,
 )
 from esair.connections._protection import BLIND, UNDECIDED, Protection, Protections
-from esair.connections._registrations import (
-    Registration,
-    Registrations,
-    Terms,
-    run_ended,
-)
 from esair.connections._sensor_channel import (
     Applied,
     AppliedChannel,
@@ -66,7 +63,7 @@ from esair.connections._sensor_channel import (
     Source,
 )
 from esair.connections._turns import Decision, Sight
-from esair.connections._values import changed, limits_by_field, part_of
+from esair.connections._values import CommandCheck, changed, limits_by_field, part_of
 
 __all__ = [
     "BLIND",

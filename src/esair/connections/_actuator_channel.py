@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Generator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from esair.connections._calls import Call, End, Method
 from esair.connections._device import Device, OfRobot, Operating
@@ -16,17 +16,16 @@ from esair.connections._gate import (
     Gate,
     Hold,
     LastCommand,
+    Registration,
     explain,
     shut,
     verdict,
 )
 from esair.connections._protection import Guards, Protection, Stillness
-from esair.connections._registrations import Registration
 from esair.connections._turns import Decision, Sent, WaitingWrites
 from esair.connections._wire import IDLE, NOT_YET, SafeCommand, Wire
 from esair.exceptions import (
     AccessDeniedError,
-    DeviceLostError,
     EsairError,
     HaltedError,
     ResourceRemovedError,
@@ -46,37 +45,16 @@ _new = Written.__new__  # hot
 _SENT: Written[Any] = Written(None)  # the answer to who does not look at it
 
 
-class Sending:
+class Sending(NamedTuple):
     """A write that waits for the device: await it for its outcome."""
 
-    __slots__ = (
-        "asked",
-        "by",
-        "call",
-        "channel",
-        "command",
-        "fence",
-        "halts",
-        "registration",
-    )
-
-    def __init__(
-        self,
-        channel: ActuatorChannel,
-        call: Call,
-        registration: Registration,
-        command: Any,
-        asked: Any,
-        by: str | None,
-    ) -> None:
-        self.channel: ActuatorChannel = channel
-        self.call: Call = call
-        self.registration: Registration = registration
-        self.command: Any = command
-        self.asked: Any = asked
-        self.by: str | None = by
-        self.halts: int = channel.gate.halts
-        self.fence: int = channel.gate.fence
+    channel: ActuatorChannel
+    call: Call
+    registration: Registration
+    command: Any
+    asked: Any
+    by: str | None
+    halts: int  # how many there were when it left
 
     def __await__(self) -> Generator[Any, Any, Written[Any] | Refused]:
         return self.channel.finish(self).__await__()
@@ -361,17 +339,13 @@ class ActuatorChannel(Device):
         held.seconds = hold or registration.hold or wire.command_timeout
         by = None
         if not is_plain:
-            stop, by, command = self._protected(command, now)
+            stop, by, command = self._protected(command)
             if stop is not None:
                 return self._refuse(registration, stop.refusal())
         if not self._dead_man.armed:
             self._dead_man.arm()
         guard = self.gate.ticket(registration, expires) if wire.blocks else None
-        try:
-            sent = wire.send(command, registration.behavior, self._ended, guard)
-        except EsairError as error:
-            failed = self._in_doubt(error, command)
-            raise failed from failed.__cause__
+        sent = wire.send(command, registration.behavior, self._ended, guard)
         if sent is not None or wire.applied is not None:
             return self._sent(sent, registration, command, asked, by)
         # Most drivers say nothing.
@@ -397,7 +371,7 @@ class ActuatorChannel(Device):
         """Return what comes of a command that the driver has."""
         if type(sent) is Call:
             sent.owner = right
-            return Sending(self, sent, right, command, asked, by)
+            return Sending(self, sent, right, command, asked, by, self.gate.halts)
         self.writes += 1
         self.wire.took(command, sent)
         return self._applied(right, command, sent, asked, by)
@@ -444,11 +418,7 @@ class ActuatorChannel(Device):
         if self.stillness.moves:
             self.stillness.disarm()  # that motion is over, and its time-out with it
         guard = self.gate.ticket(registration) if wire.blocks else None
-        try:
-            sent = wire.send(command, registration.behavior, self._ended, guard)
-        except EsairError as error:
-            failed = self._in_doubt(error, command)
-            raise failed from failed.__cause__
+        sent = wire.send(command, registration.behavior, self._ended, guard)
         return self._sent(sent, registration, command, command, None)
 
     def _check_watch(self) -> None:
@@ -456,15 +426,13 @@ class ActuatorChannel(Device):
         if watch is not None and not watch.may_move():
             raise StoppingError(self.name, "made safe by the watchdog")
 
-    def _protected(
-        self, command: Any, now: float
-    ) -> tuple[Protection | None, str | None, Any]:
+    def _protected(self, command: Any) -> tuple[Protection | None, str | None, Any]:
         """Return the guard that refuses a command, who has weakened it, and what passes."""
         guards, stillness = self.guards, self.stillness
         stop: Protection | None = None
         by: str | None = None
         if guards.all:
-            stop, by, command = guards.weigh(command, now, moving=stillness.moves)
+            stop, by, command = guards.weigh(command, moving=stillness.moves)
             if stop is not None:
                 stillness.stay()
                 return stop, by, None
@@ -500,7 +468,7 @@ class ActuatorChannel(Device):
                 raise refused from None
             return self._refuse(right, refused)
         except Exception as error:
-            failed = self._in_doubt(self.wire.translated(error), command)
+            failed = self.wire.in_doubt(self.wire.translated(error), command)
             raise failed from failed.__cause__
         return self._applied(right, command, applied, sending.asked, sending.by)
 
@@ -538,16 +506,6 @@ class ActuatorChannel(Device):
                 Kind.APPLIED, self.name, registration.behavior, applied
             )
         return Written(applied, asked, by)
-
-    def _in_doubt(self, failed: EsairError, command: Any) -> EsairError:
-        if not isinstance(failed, DeviceLostError):
-            return failed
-        doubt = f"it is unknown whether {command!r:.80} was applied, it is not repeated"
-        doubtful = DeviceLostError(
-            self.name, f"{failed.detail}; {doubt}" if failed.detail else doubt
-        )
-        doubtful.__cause__ = failed
-        return doubtful
 
     # Refusals.
 

@@ -142,11 +142,8 @@ class Driver:
         is_plain = not inspect.iscoroutinefunction(function)
         if is_plain and self.resource.blocking:
             self.uses_threads = True
-            return Method(function, self._get_executor, name)
+            return Method(function, lambda: self.executor, name)
         return Method(function, None, name, is_plain)
-
-    def _get_executor(self) -> Executor:
-        return self.executor
 
     async def call(self, name: str, *args: Any, **options: Any) -> Any:
         """Call a method where it belongs, and wait for what it returns."""
@@ -462,12 +459,12 @@ class Calls:
         try:
             value = self._begin_untaped(kind, method, args, limit, guard)
         except Exception as error:
-            tape.first(tag, First(waits=False, value=None, error=error))
+            tape.first(tag, First(error=error))
             raise
         if type(value) is not Call:
-            tape.first(tag, First(waits=False, value=value, error=None))
+            tape.first(tag, First(value=value))
             return value
-        number = tape.first(tag, First(waits=True, value=None, error=None))
+        number = tape.first(tag, First(waits=True))
         value.taped = lambda end: tape.arrived(tag, tuple(end), number=number)
         return value
 

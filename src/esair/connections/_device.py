@@ -19,7 +19,7 @@ from esair.connections._calls import (
     given_up,
     translate_call,
 )
-from esair.connections._registrations import Registration, Registrations
+from esair.connections._gate import Registration, Registrations
 from esair.exceptions import (
     DeviceLostError,
     DriverStuckError,

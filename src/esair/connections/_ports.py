@@ -16,12 +16,11 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from esair.abc import Connection
 from esair.connections._actuator_channel import ActuatorChannel
+from esair.connections._gate import Registration, refusal, run_ended
 from esair.connections._protection import Protections
-from esair.connections._registrations import Registration, run_ended
 from esair.connections._sensor_channel import READ_TIMEOUT, SensorChannel
 from esair.exceptions import (
     EsairError,
-    NotRegisteredError,
     UnknownNameError,
     WrongLoopError,
 )
@@ -77,6 +76,12 @@ class Port(Generic[T]):
         self._channel = channel
         self.registration = registration
 
+    def _check_run(self) -> None:
+        """Pass in the robot's event loop, while the run lasts that the port is of."""
+        self._check_loop()
+        if speaks_for_nobody():
+            raise run_ended(self.registration.behavior, self.resource)
+
     def _check_loop(self) -> None:
         """Pass in the event loop of the robot, in no other one."""
         if running_loop() is not self._loop:
@@ -94,9 +99,7 @@ class Port(Generic[T]):
             AccessDeniedError: The port was not declared with ``configure=True``.
             BadValueError: A setting is unknown, or a value is not allowed.
         """
-        self._check_loop()
-        if speaks_for_nobody():
-            raise run_ended(self.registration.behavior, self.resource)
+        self._check_run()
         await self._control.configure(self.registration, **settings)
 
     async def operate(self, name: str, /, **parameters: Any) -> Any:
@@ -119,9 +122,7 @@ class Port(Generic[T]):
             DeviceFaultError: The device answered wrongly.
             DriverStuckError: It did not end within its deadline.
         """
-        self._check_loop()
-        if speaks_for_nobody():
-            raise run_ended(self.registration.behavior, self.resource)
+        self._check_run()
         return await self._control.operate(self.registration, name, **parameters)
 
     @property
@@ -447,12 +448,8 @@ class Ways(Connection, Generic[C]):
         if channel is not None:
             channel.registrations.check(registration)  # type: ignore[arg-type]
             return channel
-        if not isinstance(registration, Registration):
-            raise NotRegisteredError(
-                "?", "?", f"{registration!r:.80} is no registration"
-            )
-        if registration.reason is not None:
-            raise registration.reason()
+        if not isinstance(registration, Registration) or registration.reason:
+            raise refusal(registration)
         raise UnknownNameError(self.kind, registration.resource, self.channels)
 
 

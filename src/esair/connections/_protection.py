@@ -100,7 +100,6 @@ class Protection:
 
     def describe(self) -> str:
         """Say what it does and how it stands, in one line."""
-        now = _now()
         if self.guards:
             told = f"{self.label} guards it with priority {self.priority}"
             told += ", latches" if self.latch else ""
@@ -110,17 +109,22 @@ class Protection:
             told += f"; now: {self.rule}"
         elif self.stopping:
             told += "; now: it lets nothing pass"
-        if now < self.muted_until:
-            left = self.muted_until - now
+        if self.is_muted:
+            left = self.muted_until - _now()
             told += f"; MUTED by the user for {left:.3g} s more: {self.muted_for}"
         return told
 
     @property
     def stops(self) -> bool:
         """Whether nothing passes now: it is blind, latched, or has refused last."""
-        if asyncio.get_running_loop().time() < self.muted_until:
-            return False
-        return bool(self.latched or self.reason or self.stopping)
+        return bool(
+            not self.is_muted and (self.latched or self.reason or self.stopping)
+        )
+
+    @property
+    def is_muted(self) -> bool:
+        """Whether it lets everything pass now, by the user's will."""
+        return self.muted_until > 0.0 and _now() + REACHED < self.muted_until
 
     def inherit(self, before: Protection) -> None:
         """Keep what only the user may end: the latch of what it takes the place of."""
@@ -135,7 +139,6 @@ class Protection:
         self,
         command: Any,
         safe: Any,
-        now: float,
         *,
         moving: bool,
         hand: Callable[[Any], Any],
@@ -144,7 +147,7 @@ class Protection:
 
         The guard is another component's code: whatever it does ends here.
         """
-        if now + REACHED < self.muted_until:
+        if self.is_muted:
             return command
         if self.latched:
             return None
@@ -314,14 +317,10 @@ class Protections:
         channel = self._channels.get(actuator)
         if channel is None:
             return
-        now = _now()
         entries = self.of(actuator)
+        holds = (each for each in entries if not each.guards and each.reason)
         channel.protect(
-            tuple(
-                each
-                for each in entries
-                if not each.guards and each.reason and now + REACHED >= each.muted_until
-            ),
+            tuple(each for each in holds if not each.is_muted),
             tuple(each for each in entries if each.guards),
         )
         if guards:
@@ -348,7 +347,7 @@ class Guards:
         self.asked: Any = None
 
     def weigh(
-        self, command: Any, now: float, *, moving: bool
+        self, command: Any, *, moving: bool
     ) -> tuple[Protection | None, str | None, Any]:
         """Put a command to all guards, each gets what the one before lets pass.
 
@@ -360,9 +359,7 @@ class Guards:
         self.asked = command
         by: str | None = None
         for guard in self.all:
-            weighed = guard.weigh(
-                command, wire.still, now, moving=moving, hand=wire.copied
-            )
+            weighed = guard.weigh(command, wire.still, moving=moving, hand=wire.copied)
             if weighed is not command and weighed is not None:
                 try:
                     weighed = wire.check.checked(weighed)
@@ -508,7 +505,7 @@ class Stillness:
             return
         if verdict(self._gate, self._hold, None, now) is not None:
             return
-        stop, _by, passed = guards.weigh(guards.asked, now, moving=True)
+        stop, _by, passed = guards.weigh(guards.asked, moving=True)
         if stop is not None:
             self.stay()
             return

@@ -9,13 +9,13 @@ from __future__ import annotations
 import collections
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from esair.connections._calls import Call, End, Method, translate_call
-from esair.connections._checks import FrozenCheck, ReadingCheck, measured_at
 from esair.connections._device import Device, OfRobot, Operating
+from esair.connections._gate import Registration, Registrations
 from esair.connections._hearing import READY, Asking, Listening
-from esair.connections._registrations import Registration, Registrations
+from esair.connections._values import FrozenCheck, ReadingCheck, measured_at
 from esair.exceptions import (
     BadValueError,
     DeviceFaultError,
@@ -28,10 +28,6 @@ from esair.journal import Kind
 from esair.messages import Reading, ResourceState, Stamped, StampedReading
 from esair.resources import APPLIED, HOLD, Actuator, Sensor
 from esair.values import passes_as
-
-if TYPE_CHECKING:
-    pass
-
 
 PERIODS = 3.0
 """How many periods old a reading of a device that is asked may be, if nobody says."""

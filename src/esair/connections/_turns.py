@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import attrs
 
-from esair.connections._registrations import Registration
+from esair.connections._gate import Registration
 from esair.exceptions import BusyError
 from esair.loop import Scheduler, fail, has_come
 from esair.messages import Refused, Written

@@ -1,7 +1,8 @@
-"""What is inside of values: readings, commands, and what guards return.
+"""Values that come and leave: what is inside of them, and whether they are good.
 
 One walk finds what is no finite number, wherever it hides; commands are compared, and
-weighed against each other, part by part.
+weighed against each other, part by part. A reading is checked before it reaches an action,
+a command before it may leave, and what a guard returns before it takes a command's place.
 """
 
 from __future__ import annotations
@@ -10,13 +11,18 @@ import copy
 import enum
 import math
 import numbers
+import operator
 import types
-from collections.abc import Collection, Mapping, Sequence
+import typing
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import attrs
 
-from esair.values import once_for_class
+from esair.exceptions import BadValueError, describe
+from esair.messages import Stamped
+from esair.resources import HOLD, Actuator, Sensor
+from esair.values import checked_class, once_for_class, passes_as, type_name
 
 DEPTH = 8  # how deep parts of a value are looked at
 
@@ -406,3 +412,354 @@ def changed(command: Any, changes: Mapping[str, Any]) -> Any:
     for field, value in changes.items():
         setattr(other, field, value)
     return other
+
+
+AHEAD = 0.01  # how far in the future a device may say that it has measured, in seconds
+
+_UNSEEN = (str, bytes, bytearray, memoryview, bool, int, type(None))
+"""What a reading may be as a whole without a look into it."""
+
+
+class CommandCheck:
+    """Checks, and where declared clamps, the commands of one actuator."""
+
+    def __init__(self, actuator: Actuator[Any]) -> None:
+        self.name: str = actuator.name
+        self.wanted: type | None = checked_class(actuator.value_type)
+        self._clamp = actuator.clamp
+        overridden = type(actuator).check is not Actuator.check
+        self._own_check = actuator.check if overridden else None
+        self._stays = actuator.safe is HOLD
+        self._limits = limits_by_field(actuator.limits)
+        self._slew = limits_by_field(actuator.slew)
+        self._fields = _number_fields(actuator.safe)
+        get: Any = operator.attrgetter(*self._fields or [""])
+        self._get = (lambda command: (get(command),)) if len(self._fields) == 1 else get
+        if isinstance(actuator.safe, tuple):
+            self._get = iter  # its places are its fields
+        self._kinds = dict(_kinds_in(actuator.safe))
+        """What is where in a command: a number, or what has numbers in it."""
+        self._of_numbers = _is_of_numbers(actuator.value_type)
+        self._length = _length_of(actuator.value_type)
+        self.copies: bool = not (_is_frozen(self.wanted) and _is_fixed(actuator.safe))
+        """Whether somebody could change a command after its check."""
+        self.slews: bool = bool(
+            self._slew
+        )  # whether how fast a command changes is limited
+        self.checked: Callable[[Any], Any] = self._quickest(actuator)
+        """Return the command that may be sent.
+
+        Raises:
+            BadValueError: The type is wrong, a number is not finite, or it is
+                outside the limits.
+        """
+
+    def _quickest(self, actuator: Actuator[Any]) -> Callable[[Any], Any]:
+        """Choose, once, the check for the kind of commands that it takes."""
+        if self._own_check is not None:
+            return self._any
+        if not self._limits:
+            if self.wanted is float:
+                return self._number
+            # What is no number may hide one: then each part is looked at.
+            plain = _all_numbers(actuator.safe, self._fields)
+            return self._numbers if plain and not self._length else self._any
+        self._low, self._high = self._limits.get("", (math.nan, math.nan))
+        bounded = math.isfinite(self._low) and math.isfinite(self._high)
+        if bounded and (self.wanted is float or self.wanted is int):
+            return self._number_in_limits
+        return self._any
+
+    def _number(self, command: Any) -> Any:
+        """Check what is a number without limits: most commands end here."""
+        if type(command) is float and math.isfinite(command):
+            return command
+        return self._any(command)
+
+    def _number_in_limits(self, command: Any) -> Any:
+        """Check what is a number between two others, which NaN never is."""
+        if type(command) is self.wanted and self._low <= command <= self._high:
+            return command
+        return self._any(command)
+
+    def _numbers(self, command: Any) -> Any:
+        """Check a structure of numbers without limits."""
+        if type(command) is self.wanted:
+            if self.copies:
+                command = copy.copy(command)  # its parts are numbers
+            try:
+                if all(map(math.isfinite, self._get(command))):
+                    return command
+            except (TypeError, OverflowError):
+                pass  # a field is no number: it is named below
+        return self._any(command)
+
+    def _any(self, command: Any) -> Any:
+        if command is HOLD and self._stays:
+            return command
+        wanted: Any = self.wanted
+        try:
+            if wanted is not None and type(command) is not wanted:
+                command = self._accept(command, wanted)
+            if self._length and len(command) != self._length:
+                raise self._bad(
+                    "", f"expected {self._length} values, not {command!r:.80}"
+                )
+            if not isinstance(command, ATOMS_AND_NUMBERS):
+                command = copy.deepcopy(command)  # what is checked is what leaves
+            self._check_finite(command)
+            if self._of_numbers:
+                for field, value in command.items():
+                    if not isinstance(value, numbers.Number):
+                        raise self._bad(field, f"expected a number, not {value!r:.80}")
+            if self._limits:
+                command = self._limited(command)
+            if self._own_check is not None and command is not HOLD:
+                self._own_check(command)
+            return command
+        except BadValueError:
+            raise
+        except Exception as error:  # a command may be an object of any class
+            raise self._bad("", f"it cannot be checked: {describe(error)}") from error
+
+    def slewed(self, command: Any, last: Any, seconds: float) -> Any:
+        """Return the command, moved towards the last one if it changes too fast."""
+        changes: dict[str, float] = {}
+        for field, slew in self._slew.items():
+            try:
+                value, before = part_of(command, field), part_of(last, field)
+            except (AttributeError, LookupError):
+                raise self._bad(
+                    field, "its change is limited: each command must have it"
+                ) from None
+            step = slew * max(seconds, 0.0)
+            try:
+                bounded = min(before + step, max(before - step, value))
+            except TypeError:
+                raise self._bad(
+                    field,
+                    f"its change is limited: expected a number, not {value!r:.80}",
+                ) from None
+            if bounded != value:
+                changes[field] = bounded
+        return changed(command, changes)
+
+    def _bad(self, field: str, told: str) -> BadValueError:
+        return BadValueError(self.name, field or "command", told)
+
+    def _accept(self, command: Any, wanted: type) -> Any:
+        if isinstance(command, wanted) and not (
+            wanted is int and isinstance(command, bool)
+        ):
+            return command
+        if passes_as(command, wanted):
+            return wanted(command)
+        raise self._bad("", f"expected {type_name(wanted)}, not {command!r:.80}")
+
+    def _check_finite(self, command: Any) -> None:
+        found = flaw(command, self._kinds)
+        if found is None:
+            return
+        if found.expected == TOO_DEEP:
+            raise self._bad(found.place(), "it is nested too deeply")
+        told = f"expected {found.expected}, not {found.value!r:.80}"
+        raise self._bad(found.place(), told)
+
+    def _limited(self, command: Any) -> Any:
+        changes: dict[str, float] = {}
+        for field, (low, high) in self._limits.items():
+            try:
+                value = part_of(command, field)
+                if low <= value <= high:
+                    continue
+            except (AttributeError, LookupError, TypeError):
+                if self._own_check is not None:  # which knows more about it
+                    continue
+                raise
+            if not self._clamp:
+                raise self._bad(field, f"expected {low:g} to {high:g}, not {value:g}")
+            changes[field] = min(
+                high, max(low, value)
+            )  # value is finite: checked before
+        return changed(command, changes)
+
+
+def _is_frozen(wanted: Any) -> bool:
+    """Whether nobody can change a value of a class whose parts are numbers."""
+    if wanted is None:
+        return False
+    if wanted in {int, float, bool, str, bytes} or issubclass(
+        wanted, tuple | enum.Enum
+    ):
+        return True
+    options = getattr(wanted, "__dataclass_params__", None)
+    if options is not None:
+        return bool(options.frozen)
+    # A frozen class of attrs, which has no other way to say so.
+    return getattr(wanted.__setattr__, "__name__", "") == "_frozen_setattrs"
+
+
+def _is_fixed(value: Any) -> bool:
+    """Whether nobody can change a value, nor a part of it."""
+    if value is HOLD or isinstance(value, ATOMS_AND_NUMBERS):
+        return True
+    parts = [part for _, part in parts_of(value)]
+    return _is_frozen(type(value)) and all(map(_is_fixed, parts))
+
+
+def _length_of(kind: Any) -> int:
+    """How many values a kind of tuple has; 0 for any number of them."""
+    places = typing.get_args(kind) if typing.get_origin(kind) is tuple else ()
+    return 0 if ... in places else len(places)
+
+
+def _is_of_numbers(kind: Any) -> bool:
+    """Whether all values of a kind of dictionary are numbers."""
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    is_mapping = isinstance(origin, type) and issubclass(origin, Mapping)
+    return is_mapping and len(inner) == 2 and inner[1] in {int, float}
+
+
+def _kinds_in(safe: Any, place: str = "") -> Iterator[tuple[str, str]]:
+    """What commands have in the places where the safe one has numbers, and around them."""
+    fields = _number_fields(safe)
+    for name, part in parts_of(safe) if fields or _has_fields(safe) else ():
+        where = f"{place}.{name}" if place else str(name)
+        if str(name) in fields:
+            yield where, NUMBER
+        elif not _has_fields(part) or where.count(".") >= DEPTH:
+            continue
+        elif inside := list(_kinds_in(part, where)):
+            yield where, type_name(type(part))
+            yield from inside
+
+
+def _has_fields(value: Any) -> bool:
+    return attrs.has(type(value)) or hasattr(value, "__dataclass_fields__")
+
+
+def _number_fields(safe: Any) -> list[str]:
+    has_names = not isinstance(safe, Collection | int | float)
+    if not (has_names or isinstance(safe, tuple)) or hasattr(safe, "__array__"):
+        return []
+    return [
+        str(name)
+        for name, part in parts_of(safe)
+        if isinstance(part, int | float) and not isinstance(part, bool)
+    ]
+
+
+def _all_numbers(safe: Any, fields: list[str]) -> bool:
+    """Whether a structured command has no other parts than its number fields."""
+    return bool(fields) and len(fields) == len(parts_of(safe))
+
+
+class ReadingCheck:
+    """Says what is wrong with a value of one sensor, if anything is.
+
+    NaN compares as false with everything, so a reaction would take it for "nothing is
+    near". A number of its own, and one in a field, must be finite; in a row of numbers,
+    such as a scan, infinity stands for "nothing in reach".
+    """
+
+    def __init__(self, sensor: Sensor[Any]) -> None:
+        self._wanted = checked_class(sensor.value_type)
+        self._limits = limits_by_field(sensor.limits)
+        self._low, self._high = self._limits.get("", (math.nan, math.nan))
+        bounded = math.isfinite(self._low) and math.isfinite(self._high)
+        self.wrong: Callable[[Any], str | None] = self._any
+        """Return what is wrong with a value, in words; None if nothing is."""
+        if self._wanted is float and not self._limits:
+            self.wrong = self._number
+        elif self._wanted is float and bounded:
+            self.wrong = self._number_in_limits
+        elif self._wanted in _UNSEEN and not self._limits:
+            self.wrong = self._atom
+
+    def _number(self, value: Any) -> str | None:
+        if type(value) is float and math.isfinite(value):
+            return None
+        return self._any(value)
+
+    def _number_in_limits(self, value: Any) -> str | None:
+        # Between two numbers, which NaN never is.
+        if type(value) is float and self._low <= value <= self._high:
+            return None
+        return self._any(value)
+
+    def _atom(self, value: Any) -> str | None:
+        return None if type(value) is self._wanted else self._any(value)
+
+    def _any(self, value: Any) -> str | None:
+        wanted = self._wanted
+        if wanted is not None and type(value) is not wanted:
+            number = wanted is int or wanted is float
+            if (number and isinstance(value, bool)) or not (
+                isinstance(value, wanted) or passes_as(value, wanted)
+            ):
+                return f"expected {type_name(wanted)}, it gave {value!r:.80}"
+        if type(value) is float:
+            if not math.isfinite(value):
+                return f"expected a finite number, it gave {value!r}"
+            if not self._limits:
+                return None
+        try:
+            if wanted is float:
+                float(value)  # a whole number may be too large for one
+            found = flaw(value, rows=True)
+            return self._outside(value) if found is None else _told(found, value)
+        except Exception as error:  # a value may be an object of any class
+            return f"it cannot be checked: {describe(error)}"
+
+    def _outside(self, value: Any) -> str | None:
+        for field, (low, high) in self._limits.items():
+            number = part_of(value, field)
+            if not low <= number <= high:
+                what = f"{field} = {number!r:.80}" if field else f"{number!r:.80}"
+                return f"expected {low:g} to {high:g}, it gave {what}"
+        return None
+
+
+def measured_at(stamped: Stamped[Any], now: float) -> float | str:
+    """Return when a value was measured, or say what is wrong with its stamp."""
+    try:
+        at = now - stamped.age if stamped.time is None else stamped.time
+        if math.isfinite(at) and at <= now + AHEAD:
+            return min(at, now)
+    except TypeError:
+        pass
+    return f"expected a time of measurement until now ({now:.3f} s), it gave {stamped!r:.120}"
+
+
+class FrozenCheck:
+    """Says so when a device gives the same value too often: it may be frozen."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._last: Any = None
+        self._repeats = 0
+
+    def begin_anew(self) -> None:
+        """Count from one: the device was opened."""
+        self._repeats = 0
+
+    def __call__(self, value: Any) -> str | None:
+        """Return what is wrong, in words; None if nothing is."""
+        if self._repeats == 0 or not equal(value, self._last):
+            self._last, self._repeats = value, 0
+        self._repeats += 1
+        if self._repeats <= self._limit:
+            return None
+        return f"frozen: it gave {value!r:.80} {self._repeats} times in a row"
+
+
+def _told(found: Flaw, value: Any) -> str:
+    """Say what is wrong with a reading, and where."""
+    where = found.place_in(value)
+    if found.row:
+        return f"expected numbers, it gave NaN in {where or found.row}"
+    if found.expected == TOO_DEEP:
+        return f"{where or 'it'} is nested too deeply"
+    return (
+        f"expected {found.expected}, it gave {where or 'value'} = {found.value!r:.80}"
+    )

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import attrs
 
 from esair.connections._calls import Apply, Call, Guard, Method, translate_call
-from esair.connections._checks import CommandCheck
 from esair.connections._gate import LastCommand
+from esair.connections._values import CommandCheck
 from esair.exceptions import DeviceLostError, DriverStuckError, EsairError, describe
 from esair.journal import Kind
 from esair.loop import REACHED, Deadlines, spawn, wake
@@ -177,7 +177,7 @@ class Wire:
             sent = self._begin("write", self.method, (command,), self._deadline, guard)
         except Exception as error:
             self.lane = None
-            failed = self.failed(error, "write")
+            failed = self.in_doubt(self.failed(error, "write"), command)
             raise failed from failed.__cause__
         if sent is not None and type(sent) is Call:
             sent.apply = apply
@@ -215,6 +215,16 @@ class Wire:
             )
         device.robot.on_error(translated)
         return translated
+
+    def in_doubt(self, failed: EsairError, command: Any) -> EsairError:
+        """Say of a loss that nobody knows what became of a motion."""
+        if not isinstance(failed, DeviceLostError):
+            return failed
+        doubt = f"it is unknown whether {command!r:.80} was applied, it is not repeated"
+        told = f"{failed.detail}; {doubt}" if failed.detail else doubt
+        doubtful = DeviceLostError(self._device.name, told)
+        doubtful.__cause__ = failed
+        return doubtful
 
     def translated(self, error: BaseException, kind: str = "write") -> EsairError:
         """Make what its caller gets of what the driver has raised."""

@@ -4,8 +4,7 @@ Recording, the operator's seat and the supervisors stand on it. It observes: not
 that a listener does changes an order, a decision or a command.
 """
 
-from esair.journal._event import Event, Kind
-from esair.journal._journal import BACKLOG, SLICE, Journal, Listener
+from esair.journal._journal import BACKLOG, SLICE, Event, Journal, Kind, Listener
 from esair.journal._log_lines import Beside, LogLines, text_of
 
 __all__ = [

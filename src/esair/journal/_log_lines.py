@@ -13,8 +13,7 @@ import threading
 from collections.abc import Callable
 
 from esair.exceptions import describe, told_traceback, wants_traceback
-from esair.journal._event import Kind
-from esair.journal._journal import Journal, here
+from esair.journal._journal import Journal, Kind, here
 from esair.loop import turn_of
 
 LIMIT = 1000

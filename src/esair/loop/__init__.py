@@ -14,11 +14,6 @@ for blocking code (`_threads`), who owns a task, with a budget of awaits and see
 
 from esair.loop._deadlines import Deadline, Deadlines, DeadMan
 from esair.loop._door import Arrivals, Door, News, arrive, ask_outside, outside
-from esair.loop._end_of_loop import (
-    leave_behind,
-    run_and_end,
-    threads_that_keep_the_process,
-)
 from esair.loop._every import every
 from esair.loop._garbage import Gaps, collector
 from esair.loop._light_task import (
@@ -38,7 +33,13 @@ from esair.loop._light_task import (
     wake_one,
 )
 from esair.loop._of_loop import clock_beside, clock_of, turn_of
-from esair.loop._overseer import Ending, StallWatch
+from esair.loop._overseer import (
+    Ending,
+    StallWatch,
+    leave_behind,
+    run_and_end,
+    threads_that_keep_the_process,
+)
 from esair.loop._ownership import (
     PUT_COST,
     SPENDABLE,

@@ -1,26 +1,25 @@
 """The one door: what comes in from outside takes effect in one order.
 
-An entry gets a number and a time when it comes in. Entries take effect in the order of
-their numbers, at the next border of the loop. On a virtual clock what comes from threads
-ripens before: news when nothing is ready, ends of works when no thread is at work either,
-in the order in which the work was given out. So a run repeats, however long threads take.
+Entries take effect in the order in which they come in, at the next border of the loop. On a
+virtual clock what comes from threads ripens before: news when nothing is ready, ends of
+works when no thread is at work either, in the order in which the work was given out. So a
+run repeats, however long threads take.
 
-Threads wake the loop by the `Bell`. What one callback of the loop brings is an `Arrivals`:
-driver calls that wait for it go on in that callback. What a robot asks of the world beside
-its drivers (`outside`, `ask_outside`, `News`) is kept, and answered from the tape.
+What one callback of the loop brings is an `Arrivals`: driver calls that wait for it go on
+in that callback. What a robot asks of the world beside its drivers (`outside`,
+`ask_outside`, `News`) is kept, and answered from the tape.
 """
 
 from __future__ import annotations
 
 import asyncio
 import collections
-import contextlib
 import contextvars
 import itertools
 import logging
-import os
 import threading
 from collections.abc import Callable, Coroutine
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from esair.loop._light_task import LightTask, settle
@@ -104,69 +103,6 @@ def arrive(future: asyncio.Future[T], value: T) -> None:
     future.set_result(value)  # who waits goes on in the next turn
 
 
-class Bell:
-    """Has a loop come to the border of its turns when a thread rings.
-
-    While it is held it is an eventfd, which costs the loop a third of its own way: that
-    reads its socket until an exception says that there is no more.
-    """
-
-    def __init__(self, turn: Turn) -> None:
-        self._turn = turn
-        self._loop = turn.loop
-        self._lock = threading.Lock()
-        self._holders = 0
-        self._fd = -1
-
-    def ring(self) -> None:
-        """Have the loop come, from any thread.
-
-        Raises:
-            RuntimeError: The loop is closed.
-        """
-        with self._lock:  # a number that was closed may be another file's
-            if self._fd >= 0 and not self._loop.is_closed():
-                os.eventfd_write(self._fd, 1)
-                return
-        self._turn.ring()
-
-    def hold(self) -> None:
-        """Be quick for a thread that will ring; called in the loop."""
-        self._holders += 1
-        if self._fd >= 0 or self._turn.virtual:
-            return
-        with contextlib.suppress(OSError, NotImplementedError, AttributeError):
-            fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-            try:
-                self._loop.add_reader(fd, self._heard)
-            except BaseException:
-                os.close(fd)
-                raise
-            self._fd = fd
-
-    def let_go(self) -> None:
-        """It may still ring, but not for long; called in the loop."""
-        self._holders -= 1
-        if self._holders or self._fd < 0:
-            return
-        if not self._loop.is_closed():
-            self._loop.remove_reader(self._fd)
-            self._loop.call_soon(self._turn.come)  # it may have been rung just now
-        self._close()
-
-    def _close(self) -> None:
-        with self._lock:
-            fd, self._fd = self._fd, -1
-        if fd >= 0:
-            os.close(fd)
-
-    __del__ = _close  # with a loop that was closed while it was held
-
-    def _heard(self) -> None:
-        os.eventfd_read(self._fd)
-        self._turn.come()
-
-
 _log = logging.getLogger("esair")
 
 _new = tuple.__new__
@@ -183,7 +119,6 @@ class Door(OfTurn):
     def __init__(self, turn: Turn) -> None:
         self._turn = turn
         self._arrivals = Arrivals.of(turn.loop)
-        self._time = turn.time
         self.player: Player | None = turn.player
         """What repeats a run on this loop, sooner or later."""
         self._holds = turn.virtual
@@ -207,7 +142,6 @@ class Door(OfTurn):
         self._outside: set[object] = set()
         """The threads whose work is to wait for the outside."""
         self.wakes: bool = False
-        self.bell: Bell = Bell(turn)
         self._works = itertools.count(1)
         self.number: int = 0  # how many entries have come in
         self.at_work: int = 0  # how many works threads have in hand
@@ -298,9 +232,7 @@ class Door(OfTurn):
                 else:
                     self.at_work -= 1
             self.number += 1
-            entry = _new(
-                Entry, (self.number, self._time(), work, tag, function, arguments)
-            )
+            entry = _new(Entry, (work, tag, function, arguments))
             divert = self.divert
             if divert is None or (work and tag[0] != "thread"):
                 self._add(entry)
@@ -318,7 +250,7 @@ class Door(OfTurn):
         self._brought.append(entry)
         if not self.wakes:
             self.wakes = True
-            self.bell.ring()
+            self._turn.ring()
 
     def tell(self, tag: Tag, function: Callable[..., object], *arguments: Any) -> None:
         """Bring in news that are the end of no work, from any thread."""
@@ -330,9 +262,7 @@ class Door(OfTurn):
             return  # in a replay it comes from the tape
         with self._lock:
             self.number += 1
-            self.entries.append(
-                Entry(self.number, self._time(), 0, tag, function, arguments)
-            )
+            self.entries.append(_new(Entry, (0, tag, function, arguments)))
         self._turn.expect()
 
     def ripen(self, *, works: bool) -> bool:
@@ -350,7 +280,9 @@ class Door(OfTurn):
                 left = [each for each in brought if not works and each.work]
                 brought.clear()
                 brought.extend(left)
-                self.entries.extend(sorted(ripe, key=_by_work) if works else ripe)
+                self.entries.extend(
+                    sorted(ripe, key=itemgetter(0, 1)) if works else ripe
+                )
         return bool(ripe)
 
     def take(self) -> None:
@@ -361,17 +293,13 @@ class Door(OfTurn):
         entries = self.entries
         with self._arrivals:
             while entries:
-                _, _, _, tag, function, arguments = entries.popleft()
+                _, tag, function, arguments = entries.popleft()
                 if tag[0] == "thread" and isinstance(self.tape, TapeWriter):
                     self.tape.arrived(tag, number=1)
                 try:
                     function(*arguments)
                 except Exception:
                     _log.exception("what came in from %s raised", " ".join(tag))
-
-
-def _by_work(entry: Entry) -> tuple[int, Tag, int]:
-    return entry.work, entry.tag, entry.number
 
 
 def ask_outside(tag: Tag, look: Callable[[], T]) -> T:
@@ -384,7 +312,7 @@ def ask_outside(tag: Tag, look: Callable[[], T]) -> T:
             return value
     value = look()
     if isinstance(tape, TapeWriter):
-        tape.first(tag, First(waits=False, value=value, error=None))
+        tape.first(tag, First(value=value))
     return value
 
 

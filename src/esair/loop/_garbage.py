@@ -59,8 +59,7 @@ class Collector:
         self._robots = 0
         self._up = 0  # how many of them neither start nor stop
         self._before = (0, 0, 0)
-        self._before_all = 0  # how many blocks of memory there were before the robot,
-        self._known = 0  # and how many more when all was looked at
+        self._known = 0  # how many blocks of memory there were when all was looked at
         self._looks_at_all = False
         self._each = self._each_of_many = _USUAL
         self._kept = 0.0  # what it takes to look at what was kept, in seconds
@@ -112,7 +111,7 @@ class Collector:
             gc.unfreeze()
 
     def _know_nothing(self) -> None:
-        self._before_all, self._known = sys.getallocatedblocks(), 0
+        self._known = sys.getallocatedblocks()
         self._each = self._each_of_many = _USUAL
         self._kept, self._looks_at_all = 0.0, False
 
@@ -138,7 +137,7 @@ class Collector:
         young, middle, old = gc.get_count()
         each, many, _ = self._before
         since = _collected_young() - self._ended_young
-        return max(young, young + each * (middle + (many + 1) * old) - since)
+        return max(young, young + (each + 1) * (middle + (many + 2) * old) - since)
 
     def in_a_gap(self) -> int:
         """Tell how many objects shall come between two collections in gaps."""
@@ -221,7 +220,7 @@ class Collector:
         gc.collect()  # of nothing: the interpreter waits for a quarter of what was there
         self._kept = 0.0
         if at_all:
-            self._known = sys.getallocatedblocks() - self._before_all
+            self._known = sys.getallocatedblocks()
         else:
             self._look_for_twice_as_much()
         self._begin_anew()
@@ -232,8 +231,7 @@ class Collector:
         Another allocator than Python's own does not count its blocks.
         """
         blocks = sys.getallocatedblocks()
-        grown = blocks - self._before_all - self._known
-        self._looks_at_all = not blocks or grown > max(self._known, FEW)
+        self._looks_at_all = not blocks or blocks - self._known > max(self._known, FEW)
 
     def _begin_anew(self) -> None:
         self._ended_young = _collected_young()
@@ -246,11 +244,10 @@ class Collector:
         of what it has freed before.
         """
         each, many, _ = self._before
-        there = (self._before_all + self._known) // _BLOCKS
-        most: float = max(there, _FEW_OBJECTS)
+        most: float = max(self._known // _BLOCKS, _FEW_OBJECTS)
         if self._up:
             most = min(most, PAUSE / max(self._each, self._each_of_many))
-        rounds = round((most - self.came()) / max(each * (many + 1), 1))
+        rounds = round((most - self.came()) / max((each + 1) * (many + 2), 1))
         gc.set_threshold(each, many, max(gc.get_count()[2] + rounds - 1, 0))
 
 

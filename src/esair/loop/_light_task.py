@@ -217,10 +217,8 @@ class LightTask(asyncio.Future[None]):
         """Drive a coroutine whose first step has ended in a wait."""
         caller = self.caller
         if caller is not None:
-            self._context = (
-                caller.context
-            )  # its own now; the next first step has another
-            caller.context = contextvars.Context()
+            # Its own now; the next first step has another.
+            self._context, caller.context = caller.context, contextvars.Context()
         self._coroutine = coroutine
         self._wait_for(waits_for)
 

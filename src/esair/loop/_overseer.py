@@ -1,7 +1,8 @@
 """The overseer: one thread beside all event loops, for what a stuck loop cannot see.
 
 It says who holds a loop, while it is held (`StallWatch`), and makes sure that something
-ends (`Ending`): the loop is told, freed, and at last left.
+ends (`Ending`): the loop is told, freed, and at last left. `run_and_end` runs a loop, and
+ends it whatever is left in it.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine, Iterable
 from types import FrameType
+from typing import Any
 
 import anyio
 
@@ -135,7 +137,6 @@ class StallWatch(OfLoop):
         self._limits: list[float] = []
         self._asked: float | None = None
         self._said = False
-        self.stalls: int = 0  # how often the loop was held too long
 
     def start(self, limit: float) -> None:
         """Watch for turns that take longer than a limit, in seconds."""
@@ -159,7 +160,6 @@ class StallWatch(OfLoop):
                 self._loop.call_soon_threadsafe(self._answer)
         elif not self._said and now - self._asked >= limit:
             self._said = True
-            self.stalls += 1
             frame = sys._current_frames().get(self._thread)  # noqa: SLF001 - the only way to see it
             if frame is not None:
                 _log.log(*describe_holder(frame), limit)
@@ -199,7 +199,7 @@ _ALWAYS = 25
 
 _INSIDE = ("esair.", "asyncio.", "selectors", "anyio.")
 
-_LOOPS = {"asyncio.base_events", "asyncio.runners", "esair.loop._end_of_loop"}
+_LOOPS = {"asyncio.base_events", "asyncio.runners", "esair.loop._overseer"}
 
 _LIBRARIES = (
     "<frozen ",
@@ -379,3 +379,83 @@ def leave_at_once(code: int, why: str) -> None:
     saying.start()
     saying.join(0.1)
     os._exit(code)
+
+
+TASKS_PATIENCE = 0.3
+"""How long the end of a loop waits for tasks that are left in it, in seconds."""
+
+THREADS_PATIENCE = 0.1
+"""How long the end of the process waits for threads that are about to end, in seconds."""
+
+
+def run_and_end(
+    work: Coroutine[Any, Any, None],
+    loop_factory: Callable[[], asyncio.AbstractEventLoop] | None,
+) -> None:
+    """Do what `asyncio.run` does, but do not wait for ever for tasks and threads."""
+    loop = asyncio.new_event_loop() if loop_factory is None else loop_factory()
+    asyncio.set_event_loop(loop)
+    try:
+        loop.run_until_complete(loop.create_task(work))
+    finally:
+        try:
+            _end_tasks(loop)
+        finally:
+            asyncio.set_event_loop(None)
+            loop.close()  # threads of run_in_executor are not waited for
+
+
+def _end_tasks(loop: asyncio.AbstractEventLoop) -> None:
+    left = asyncio.all_tasks(loop)
+    for task in left:
+        task.cancel()
+    if left:
+        loop.run_until_complete(asyncio.wait(left, timeout=TASKS_PATIENCE))
+    leave_behind([task for task in left if not task.done()])
+    for task in left:
+        if task.done() and not task.cancelled() and (error := task.exception()):
+            _log.warning("%s: it ended with %r", task.get_name(), error)
+    generators = loop.create_task(loop.shutdown_asyncgens())
+    loop.run_until_complete(asyncio.wait({generators}, timeout=TASKS_PATIENCE))
+
+
+def leave_behind(tasks: Iterable[asyncio.Task[Any]]) -> None:
+    """Have nobody wait for tasks that would not end.
+
+    Who ends an event loop cancels all of its tasks and waits for them, `asyncio.run` for
+    ever: it must not find these.
+    """
+    names = []
+    for task in tasks:
+        names.append(task.get_name())
+        _keep_for_ever(task)
+        asyncio._unregister_task(task)  # noqa: SLF001 - documented for other kinds of tasks
+    if names:
+        _log.warning("left behind, they would not end: %s", ", ".join(sorted(names)))
+
+
+def _keep_for_ever(task: asyncio.Task[Any]) -> None:
+    """Never let a task be collected, not even at the interpreter's end.
+
+    Its coroutine would be closed then, which runs its code once more; without a loop
+    each await of it raises, and what swallows that in a loop does not end.
+    """
+    import ctypes  # only when a task would not end
+
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(task))
+
+
+def threads_that_keep_the_process(before: set[threading.Thread]) -> list[str]:
+    """Name new threads for whose end the interpreter waits at its own.
+
+    Those that have nothing more to do are given the moment that they need to end.
+    """
+    new = [
+        thread
+        for thread in threading.enumerate()
+        if thread not in before and not thread.daemon
+    ]
+    until = time.monotonic() + THREADS_PATIENCE
+    for thread in new:
+        thread.join(max(0.0, until - time.monotonic()))
+    return sorted(thread.name for thread in new if thread.is_alive())

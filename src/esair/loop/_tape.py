@@ -33,8 +33,6 @@ SPOILED: Tag = ("spoiled",)
 class Entry(NamedTuple):
     """What has come in."""
 
-    number: int  # grows by one with each entry
-    time: float  # when it came in, in seconds of the loop's clock
     work: int  # the number of the work that it is the end of; 0 if it is none
     tag: Tag
     function: Callable[..., object]  # what lets it take effect, in the loop
@@ -53,12 +51,12 @@ class Arrived(NamedTuple):
 class First(NamedTuple):
     """What a call gave without a wait: a value, an error, or that it waits."""
 
-    waits: bool
-    value: Any
-    error: BaseException | None
+    waits: bool = False
+    value: Any = None
+    error: BaseException | None = None
 
 
-WAITS = First(waits=True, value=None, error=None)
+WAITS = First(waits=True)
 
 
 class TapeWriter:
@@ -229,7 +227,7 @@ class Player:
             except Exception as error:  # it is a file of anybody
                 self.fail(error)
         if self.is_over:
-            return number, First(waits=False, value=None, error=_lost(tag))
+            return number, First(error=_lost(tag))
         return number, WAITS
 
     def expect(self, tag: Tag, number: int, end: Callable[[Any], object]) -> None:

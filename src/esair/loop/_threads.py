@@ -251,7 +251,6 @@ class Executor:
         """End the thread once the calls that it has are done."""
         if self._thread is not None and self._results is not None:
             self._results.is_over = True
-            self._results.door.bell.let_go()
             if not self._results.held:
                 self._jobs.put(None)
             self._thread = None
@@ -292,7 +291,6 @@ class Executor:
                 raise BusyError(
                     f"executor {self.name}", "the limit of threads", error
                 ) from None
-            self._results.door.bell.hold()
             self._thread = thread
         return self._jobs
 
@@ -344,12 +342,8 @@ class Results:
                 arrive(future, result)
             else:
                 future.set_result(result)
-        elif isinstance(error, Exception) and not isinstance(error, StopIteration):
-            future.set_exception(error)
-        else:  # raised in a task, it would end the task, or the process
-            wrapped = RuntimeError(f"the driver raised {type(error).__name__}")
-            wrapped.__cause__ = error
-            future.set_exception(wrapped)
+        else:  # as it is it could end the task, or the process
+            future.set_exception(raisable(error, "the driver"))
 
     def _expire(self) -> None:
         now = self.time() + REACHED

@@ -21,7 +21,6 @@ from collections.abc import (
     Mapping,
     Sequence,
 )
-from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import anyio
@@ -41,7 +40,6 @@ from esair.loop import (
     GLANCE,
     Budget,
     Gaps,
-    Job,
     News,
     OwnedTasks,
     RealTime,
@@ -106,7 +104,7 @@ class LoopCare:
         self.realtime = check_priority(title, realtime)
         self._title = title
         self._resumed = resumed
-        self._undo: list[Callable[[], None]] = []
+        self._undo = contextlib.ExitStack()
         self._gaps: Gaps | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._service: ServiceManager | None = None
@@ -116,13 +114,13 @@ class LoopCare:
         self._loop = loop
         owned = OwnedTasks.of(loop)
         owned.install()
-        self._undo.append(owned.uninstall)
+        self._undo.callback(owned.uninstall)
         collector.start()
-        self._undo.append(collector.stop)
+        self._undo.callback(collector.stop)
         scheduler = Scheduler.of(loop)
         suspends = turn_of(loop).suspends
         suspends.listen(self._resumed)
-        self._undo.append(partial(suspends.forget, self._resumed))
+        self._undo.callback(suspends.forget, self._resumed)
         for components in crowds:
             scheduler.expect(components)
         if turn_of(loop).virtual:  # there it would hide a deadlock
@@ -132,15 +130,14 @@ class LoopCare:
             if told := real_time.start(priority):
                 _log.warning("%s: not in real time: %s", self._title, told)
             else:
-                self._undo.append(partial(real_time.stop, priority))
+                self._undo.callback(real_time.stop, priority)
         seconds = self.stall_warning
         if seconds is not None:
             stalls = StallWatch.of(loop)
             stalls.start(seconds)
-            self._undo.append(partial(stalls.stop, seconds))
+            self._undo.callback(stalls.stop, seconds)
         self._service = ServiceManager()
-        glances: Job = scheduler.every(GLANCE, self._service.beat)
-        self._undo.append(glances.stop)
+        self._undo.callback(scheduler.every(GLANCE, self._service.beat).stop)
         real_time.lead()
 
     def refuse_elsewhere(self, title: str, verb: str) -> None:
@@ -181,8 +178,7 @@ class LoopCare:
     def stop(self) -> None:
         """Leave everything as it was found."""
         self._loop = None
-        while self._undo:
-            self._undo.pop()()
+        self._undo.close()
 
 
 _looking: contextvars.ContextVar[bool] = contextvars.ContextVar(
