@@ -3,38 +3,15 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
 from typing import Any
 
 from esair import messages
 from esair.codec import Kinds, declared
 from esair.connections import Halting, LastCommand, Stopped
-from esair.plan import inner_of
 
-_ALWAYS = [each for each in vars(messages).values() if isinstance(each, type)] + [
+ALWAYS = [each for each in vars(messages).values() if isinstance(each, type)] + [
     LastCommand
 ]
-
-
-def kinds_of_robot(components: Callable[[], Iterable[Any]]) -> Kinds:
-    """Return the classes that children may send: what the robot's components declare.
-
-    They are looked up when a value needs them: that takes some ms for each module.
-    """
-    seen: set[type] = set()
-
-    def add(kinds: Kinds) -> None:
-        for each in components():
-            inner = inner_of(each)
-            if type(inner) not in seen:
-                seen.add(type(inner))
-                kinds.programs.append(type(inner).__module__)
-                for kind in declared(type(inner)):
-                    kinds.add(kind)
-
-    kinds = Kinds(_ALWAYS, more=add)
-    kinds.programs.append("__main__")
-    return kinds
 
 
 class KindsOfChild(Kinds):
@@ -42,7 +19,7 @@ class KindsOfChild(Kinds):
 
     def __init__(self) -> None:
         self._own: list[type] = []
-        super().__init__(_ALWAYS, more=self._add_own)
+        super().__init__(ALWAYS, more=self._add_own)
 
     def declare(self, kind: type) -> None:
         """Let those cross that a class declares."""

@@ -15,10 +15,11 @@ from collections.abc import Callable, Coroutine, Iterable, Mapping
 from typing import Any, Final, Protocol
 
 from esair.actions import Behavior, Reaction, Takes
+from esair.codec import kinds_of
 from esair.exceptions import ProcessDiedError
 from esair.loop import Owner, outside, spawn, turn_of
 from esair.messages import Placement, placement_of
-from esair.placement._kinds import kinds_of_robot, plain_result
+from esair.placement._kinds import ALWAYS, plain_result
 from esair.placement._nursery import Nursery
 from esair.placement._process import End, Process
 from esair.placement._verbs import (
@@ -62,7 +63,7 @@ class Seats:
         seed: object,
         command_timeout: Callable[[str], float | None],
     ) -> None:
-        self.kinds = kinds_of_robot(components)
+        self.kinds = kinds_of(components, ALWAYS)
         self.seed = seed
         self.command_timeout = command_timeout
         self.nursery: Nursery = Nursery.hold()
