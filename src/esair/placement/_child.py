@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import concurrent.futures
 import contextlib
 import contextvars
 import faulthandler
@@ -15,7 +16,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from types import ModuleType
 from typing import Any, Final
 
@@ -236,23 +237,17 @@ class Child(Exchange):
 
     def here(self, function: Callable[..., Any], *args: Any, **options: Any) -> Any:
         """Call something in the loop, and wait for it in a thread."""
-        ready = threading.Event()
-        outcome: list[Any] = []
+        outcome: concurrent.futures.Future[Any] = concurrent.futures.Future()
         context = contextvars.copy_context()
 
         def run() -> None:
             try:
-                outcome.extend((context.run(function, *args, **options), None))
+                outcome.set_result(context.run(function, *args, **options))
             except BaseException as error:
-                outcome.extend((None, error))
-            ready.set()
+                outcome.set_exception(error)
 
         self.loop.call_soon_threadsafe(run)
-        ready.wait()
-        value, error = outcome
-        if error is not None:
-            raise error
-        return value
+        return outcome.result()
 
     def _call(
         self, end: End, verb: str, args: tuple[Any, ...], options: dict[str, Any]
@@ -400,32 +395,18 @@ def _called(function: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-async def _of_thread(values: Any) -> Any:
+async def _of_thread(values: Iterator[Any]) -> AsyncIterator[Any]:
     """Yield what a blocking stream gives; a thread waits for it."""
     end = object()
-    loop = asyncio.get_running_loop()
-    while True:
-        future = loop.create_future()
 
-        def wait(future: asyncio.Future[Any] = future) -> None:
-            try:
-                outcome, error = next(values, end), None
-            except BaseException as raised:
-                outcome, error = end, raised
+    def wait() -> Any:
+        try:
+            return next(values, end)
+        except BaseException as error:
+            raise raisable(error) from error
 
-            def tell() -> None:
-                if not future.done():
-                    if error is None:
-                        future.set_result(outcome)
-                    else:
-                        future.set_exception(raisable(error))
-
-            loop.call_soon_threadsafe(tell)
-
-        threading.Thread(target=wait, daemon=True).start()
-        value = await future
-        if value is end:
-            return
+    thread = concurrent.futures.ThreadPoolExecutor(1)
+    while (value := await asyncio.wrap_future(thread.submit(wait))) is not end:
         yield value
 
 

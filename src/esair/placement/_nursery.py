@@ -167,16 +167,23 @@ def main() -> None:
     Server(control, parent_fd).serve()
 
 
+class Child(NamedTuple):
+    """One that lives."""
+
+    pid: int
+    status: int
+    """Where its end is told; nobody speaks with it any more if it is closed."""
+
+
 class Server:
     """Makes children, and tells how they have ended."""
 
     def __init__(self, control: socket.socket, parent_fd: int) -> None:
         self._control = control
         self._parent_fd = parent_fd
-        self._children: dict[int, int] = {}  # those that live: their status, by pidfd
-        self._pids: dict[int, int] = {}
+        self._children: dict[int, Child] = {}  # by pidfd
         self._left: dict[int, float] = {}
-        """When those are killed that nobody speaks with any more."""
+        """When those are killed that nobody speaks with any more, by pidfd."""
         self._poll = select.poll()
         self._poll.register(control, select.POLLIN)
         self._poll.register(parent_fd, select.POLLIN)
@@ -195,19 +202,15 @@ class Server:
                     self._hear()
                 elif fd in self._children:
                     self._reap(fd)
-                else:
-                    self._leave(fd, clock() + _PATIENCE)
+                else:  # a status: its child has a little time to end
+                    for pidfd, child in self._children.items():
+                        if child.status == fd:
+                            self._poll.unregister(fd)
+                            self._left[pidfd] = clock() + _PATIENCE
             for pidfd, until in tuple(self._left.items()):
                 if until <= clock():
                     del self._left[pidfd]
                     _kill(pidfd)
-
-    def _leave(self, status: int, until: float) -> None:
-        """Nobody reads this status any more: its child has a little time to end."""
-        for pidfd, each in self._children.items():  # it may just have been reaped
-            if each == status:
-                self._poll.unregister(status)
-                self._left[pidfd] = until
 
     def _hear(self) -> None:
         try:
@@ -227,22 +230,21 @@ class Server:
                 os.close(fd)
             return
         if pid == 0:
-            self._become_child(wire, words, status)
+            self._become_child(wire, words)
         os.close(wire)
         os.close(words)
         pidfd = os.pidfd_open(pid)
-        self._children[pidfd], self._pids[pidfd] = status, pid
+        self._children[pidfd] = Child(pid, status)
         self._poll.register(pidfd, select.POLLIN)
         self._poll.register(status, 0)  # its end alone
         told = socket.socket(fileno=os.dup(status))
         with contextlib.suppress(OSError), told:  # nobody may want it any more
             socket.send_fds(told, [b"pid %d" % pid], [pidfd])
 
-    def _become_child(self, wire: int, words: int, status: int) -> NoReturn:
+    def _become_child(self, wire: int, words: int) -> NoReturn:
         code = 70
         try:
-            server = os.getppid()
-            _die_with_parent(server)
+            _die_with_parent(os.getppid())
             keep = {0, 1, 2, wire, words}
             for name in os.listdir("/proc/self/fd"):
                 if int(name) not in keep:
@@ -267,8 +269,8 @@ class Server:
 
     def _reap(self, pidfd: int) -> None:
         self._poll.unregister(pidfd)
-        _, code = os.waitpid(self._pids.pop(pidfd), 0)
-        status = self._children.pop(pidfd)
+        pid, status = self._children.pop(pidfd)
+        _, code = os.waitpid(pid, 0)
         self._left.pop(pidfd, None)
         with contextlib.suppress(OSError):
             os.write(status, b"over %d" % os.waitstatus_to_exitcode(code))
@@ -280,8 +282,8 @@ class Server:
     def _end(self) -> NoReturn:
         for pidfd in self._children:
             _kill(pidfd)
-        for pid in self._pids.values():
-            os.waitpid(pid, 0)
+        for child in self._children.values():
+            os.waitpid(child.pid, 0)
         os._exit(0)
 
 
