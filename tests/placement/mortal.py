@@ -47,7 +47,7 @@ class HungSonar(esair.Sensor[float]):
     """A driver that hangs in its fifth reading, in its first life."""
 
     placement = "process"
-    deadline = 1.0
+    deadline = 2.0
     rate = 50.0
 
     def __init__(self, path: str, **settings: Any) -> None:

@@ -33,7 +33,7 @@ pytestmark = [
 TIMES = 200
 SIDE_BY_SIDE = 4
 TIMEOUT = 0.2  # of a command
-STALL = 1.0
+STALL = 2.0
 
 _log = logging.getLogger("tests.placement")
 

@@ -65,8 +65,7 @@ class Host:
         return await self._child.call("get", sender, interval)
 
     async def receive(self, timeout: float | None) -> tuple[str, Any]:
-        sender, data = await self._child.call("receive", timeout)
-        return sender, data
+        return await self._child.call("receive", timeout)  # type: ignore[no-any-return]
 
     def offer(self, data: Any, latest: bool) -> None:
         self._child.wait("offer", data, latest=latest)
@@ -260,15 +259,13 @@ class RemotePort:
                 return await child.call("port", key, name, *args, **options)
 
             return wait
-        if name == "release":
-
-            def release() -> Done:
-                child.wait("peek", key, name)
-                return Done()
-
-            return release
         if name in _CALLED:
-            return lambda *args: child.wait("peek", key, name, *args)
+
+            def call(*args: Any) -> Any:
+                found = child.wait("peek", key, name, *args)
+                return Done() if name == "release" else found
+
+            return call
         if name in _ASKED:
             return child.wait("peek", key, name)
         raise AttributeError(name)
@@ -301,18 +298,15 @@ class BlockingPort:
         self._portal = portal
 
     def __getattr__(self, name: str) -> Any:
+        port, call = self._port, self._portal.call
         if name in _AWAITED | _CALLED:
-            return lambda *args, **options: self._portal.call(
-                in_loop, _named, self._port, name, *args, **options
+            return lambda *args, **options: call(
+                in_loop, lambda: getattr(port, name)(*args, **options)
             )
-        return self._portal.call(in_loop, getattr, self._port, name)
+        return call(in_loop, getattr, port, name)
 
     def __iter__(self) -> Iterator[Any]:
         return each_of(self._port._values(), self._portal)  # noqa: SLF001 - as the port
-
-
-def _named(port: RemotePort, name: str, *args: Any, **options: Any) -> Any:
-    return getattr(port, name)(*args, **options)
 
 
 class Loop(AsyncIterator[Any]):

@@ -31,6 +31,9 @@ from esair.placement._wire import End, Exchange, Item, Wire, settle
 STACK: Final = 0.05
 """How long a child that hangs has to say where, before it is killed, in seconds."""
 
+START: Final = 30.0
+"""How long a child may take to be there at all, in seconds."""
+
 LARGE: Final = 1 << 14
 """What has more bytes is opened in a thread: it would hold up the loop for a millisecond."""
 
@@ -196,7 +199,7 @@ class Process(Exchange):
         self._sent = now = self._time()
         if self._wanted is not None and self._wanted - now < 1e-4:
             now = max(now, self._wanted)  # a timer may ring a hair early
-        self._hang.start_by(self._sent + self._stall)
+        self._hang.start_by(self._sent + (self._stall if self.pid else START))
         if self.error is not None:  # it has died meanwhile
             self._end_work()
             return
@@ -321,6 +324,8 @@ class Process(Exchange):
         what, _, rest = data.partition(b" ")
         if what == b"pid":
             self.pid, self._pidfd = int(rest), files[0]
+            if self._work:  # its time begins when it is there
+                self._hang.start(self._time() + self._stall)
             return
         self._readable()  # what it has done before
         code = int(rest) if what == b"over" else None
