@@ -26,12 +26,12 @@ from esair.exceptions import BusyError, ConfigError, describe
 from esair.loop import OwnedTasks, Owner, Portal, Stream, raisable, spawn
 from esair.placement._home import Order, Reacting, fill, scope
 from esair.placement._loop import ChildLoop
-from esair.placement._process import RECORD
 from esair.placement._verbs import SCRIPT_OF_CHILD
 from esair.placement._wire import (
     ALWAYS,
     CALLS,
     ITEMS,
+    RECORD,
     End,
     Exchange,
     Item,

@@ -26,7 +26,7 @@ from esair.exceptions import ProcessDiedError, printable
 from esair.loop import Deadlines, Door, First, OneShot, Player, Scheduler, clock_of
 from esair.messages import Placement
 from esair.placement._nursery import Nursery, told_end
-from esair.placement._wire import End, Exchange, Item, Wire, settle
+from esair.placement._wire import RECORD, End, Exchange, Item, Wire, settle
 
 STACK: Final = 0.05
 """How long a child that hangs has to say where, before it is killed, in seconds."""
@@ -45,9 +45,6 @@ LINES: Final = 200
 
 NAMES: Final = 64
 """How many loggers a child may name that nobody else has: they are kept for ever."""
-
-RECORD: Final = "\x1e"
-"""What a line begins with that is a record of the log."""
 
 _log = logging.getLogger("esair")
 

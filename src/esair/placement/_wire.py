@@ -42,6 +42,9 @@ MESSAGE: Final = LIMIT
 NOTE: Final = 4000
 """How many characters of a traceback cross with an error."""
 
+RECORD: Final = "\x1e"
+"""What a line begins with that is a record of the log."""
+
 ALWAYS: Final = [
     *(each for each in vars(messages).values() if isinstance(each, type)),
     LastCommand,
