@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import sys
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from esair import minimal
 from esair.actions import Behavior, Reaction, adapt_action
@@ -17,8 +17,7 @@ from esair.placement._wire import End, make
 from esair.plan import SCRIPT
 from esair.values import check_duration
 
-if TYPE_CHECKING:
-    from esair.placement._seat import Seat
+Seat = Any  # that of its component: it makes these, and they know of it what they call
 
 SCRIPT_OF_CHILD: Final = "__mp_main__"
 """What the script is in a child, as `multiprocessing` calls it."""
