@@ -389,7 +389,7 @@ class BehaviorVerbs(PortVerbs):
             )
         number = self._seat.keep_scope()
         self._loops[number] = aiter(vars(self._behavior)[attribute]), 0
-        return number
+        return int(number)
 
     async def _next_order(self, _: Asked, number: int) -> tuple[int, Any, str]:
         loop, before = self._loops[number]
