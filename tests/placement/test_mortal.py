@@ -166,6 +166,19 @@ async def test_two_hundred_hangs(tmp_path: Path) -> None:
     assert patience.within(STALL + 0.3, told("hang to running", again))
 
 
+class Reads(esair.Behavior):
+    """Reads a sensor: one that is not read is not asked."""
+
+    def __init__(self, name: str, sensor: str) -> None:
+        super().__init__(
+            name=name, reads={"sonar": esair.reads(float, name=sensor, max_age=60.0)}
+        )
+
+    async def run(self) -> None:
+        async for _ in self.sonar:  # type: ignore[attr-defined]
+            pass
+
+
 @pytest.mark.promise("PLC-3")
 async def test_two_hundred_hung_drivers(tmp_path: Path) -> None:
     """Each is killed at its deadline, and READY again in a new process."""
@@ -182,6 +195,7 @@ async def test_two_hundred_hung_drivers(tmp_path: Path) -> None:
                 path = tmp_path / f"{name}_{turn}"
                 sonar = HungSonar(str(path), name=name)
                 await robot.resources.add(sonar)
+                await robot.behaviors.add(Reads(f"reads_{number}", name))
                 pid = robot.resources.query(name).pid
 
                 def back(pid: int | None = pid, name: str = name) -> bool:
@@ -193,6 +207,7 @@ async def test_two_hundred_hung_drivers(tmp_path: Path) -> None:
                 lost.append(time.monotonic() - noted(path))
                 await until(back)
                 assert not lives(pid)
+                await robot.behaviors.remove(f"reads_{number}")
                 await robot.resources.remove(name)
 
         async with asyncio.TaskGroup() as group:
