@@ -28,6 +28,7 @@ from benchmarks.cases import (
     lifecycle,
     mediator,
     minimal,
+    placed,
     reactions,
     realtime,
     recording,
@@ -53,6 +54,7 @@ CASES = {
     "P19": ros2,
     "P21": wire_garbage,
     "P22": realtime,
+    "P23": placed,
     "OPS": seat,
     "REC": recording,
 }
@@ -121,6 +123,7 @@ SMOKE: dict[ModuleType, dict[str, object]] = {
     garbage: {"SECONDS": 0.5},
     ros2: {"SECONDS": 0.1},
     realtime: {"SECONDS": 0.2},
+    placed: {"IDLE": 3},
     seat: {"SECONDS": 0.1},
 }
 """How long, and how large, the cases are when nothing is measured."""

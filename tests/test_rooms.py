@@ -65,6 +65,7 @@ PARTS_OF_ONE = {
         *("_actuator_channel", "_device", "_gate"),
         *("_protection", "_sensor_channel", "_turns"),
     },
+    "esair.placement": {"_child", "_home", "_loop"},
     "esair.seat": {"_acts", "_operator"},
     "esair.standard": {"_recording", "_robot"},
     "esair.supervisors": {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import math
 import os
@@ -19,7 +20,8 @@ MANY = 1000
 
 
 def flood(child: Any, count: int, item: Callable[[int], Item]) -> None:
-    child._out += [item(number) for number in range(count)]
+    child._wire.send(("idle", None), [item(number) for number in range(count)])
+    child._has_turn = False
 
 
 def say(text: str) -> None:
@@ -39,7 +41,7 @@ def swallow(child: Any) -> None:
 
 
 def call(child: Any, number: int, verb: str, *args: Any, busy: Any = 0.0) -> Item:
-    return Item("call", number, verb, child.values.pack("x", (0, busy, args, {})))
+    return Item("call", number, verb, child.pack("x", (0, busy, args, {})))
 
 
 def wake(child: Any, when: float) -> None:
@@ -58,6 +60,20 @@ def name_many() -> None:
         record(name=f"adversary.{each}")
 
 
+def ask_for_ever(child: Any) -> None:
+    """Ask one thing after another, and never let the own loop go on."""
+    while True:
+        child.wait("query", "liar")
+
+
+def offer_for_ever(child: Any) -> None:
+    """The same with all that a message may hold, whatever the robot says to it."""
+    rows = [str(each) for each in range(60_000)]
+    while True:
+        with contextlib.suppress(Exception):
+            child.component.offer(rows, latest=True)
+
+
 LIES: dict[str, Callable[[Any], object]] = {
     "not a number": lambda child: wake(child, math.nan),
     "after all time": lambda child: wake(child, math.inf),
@@ -65,14 +81,16 @@ LIES: dict[str, Callable[[Any], object]] = {
         child, MANY, lambda _: call(child, 9, "receive", None)
     ),
     "calls without end": lambda child: flood(
-        child, 20 * MANY, lambda number: call(child, number, "query", "liar")
+        child, 2 * MANY, lambda number: call(child, number, "query", "liar")
     ),
     "answers to nobody": lambda child: flood(
         child, 20 * MANY, lambda number: Item("done", 9 + number, "", b"")
     ),
-    "busy for ever": lambda child: child._out.append(
+    "busy for ever": lambda child: child.queue.append(
         call(child, 9, "port", "wheels", "write", Twist(1.0, 1.0), busy=math.nan)
     ),
+    "asks for ever": ask_for_ever,
+    "long lists for ever": offer_for_ever,
     "swallow": swallow,
     "files": send_file,
 }
@@ -97,6 +115,10 @@ class Speaker(esair.Behavior):
 
     async def run(self) -> None:
         child: Any = self._host._child
+        if self.what == "much":
+            rows = ["x" * 20] * 20_000
+            await asyncio.gather(*(self.put("taker", rows) for _ in range(20)))
+            return
         await self.wheels.write(Twist(0.1, 0.0))
         await asyncio.sleep(0.1)
         if self.what in LIES:

@@ -279,11 +279,11 @@ class Performer(esair.Behavior):
             wrong = limits[self.act.removeprefix("limits ")]
             await child.call("perform", child.recipe(Turn("")), False, *wrong)
         elif self.act == "verdict":
-            child._decide = lambda *_: 7  # no decision and verdict
+            child._at_once["react"] = lambda *_: 7  # no decision and verdict
             await self.perform(Turn(""))
         elif self.act == "stage":
-            child.ask("stage", 99)
-            child.ask("stage", 99)
+            child.wait("stage", 99)
+            child.wait("stage", 99)
             await self.wheels.write(Twist(0.7, 0.0))
         else:
             await self.perform(Turn(self.act))
@@ -312,15 +312,15 @@ class Liar(esair.Behavior):
     async def run(self) -> None:
         child: Any = self._host._child
         wire: Any = child._wire
-        data = child.values.pack("x", (0, 0.0, (), {}))
+        data = child.pack("x", (0, 0.0, (), {}))
         bad = {
             "verb": Item("call", 9, "__class__", data),
-            "port": Item("call", 9, "port", child.values.pack("x", "nonsense")),
+            "port": Item("call", 9, "port", child.pack("x", "nonsense")),
             "method": Item("nonsense", 9, "port", b"nonsense"),
             "private": Item("call", 9, "next order", data),
         }
         if self.lie in bad:
-            child._out.append(bad[self.lie])
+            child.queue.append(bad[self.lie])
         elif self.lie == "garbage":
             wire._end.send(b"\x01garbage")
         elif self.lie == "flood":

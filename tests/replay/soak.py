@@ -2,7 +2,8 @@
 
 ``python -m tests.replay.soak demo 100 60 --at-once 8`` records the demo 100 times, of a
 minute each; ``robot`` the robot with threads and random timing. It says how many were
-equal, and keeps those that were not.
+equal, and keeps those that were not. ``placed`` is that robot with two of its behaviors in
+processes of their own.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import random
 import shutil
 import sys
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 
 import attrs
@@ -64,9 +66,17 @@ class Told:
     text: str
 
 
-def folder_of_robot(folder: Path) -> Path:
+PLACED = ("follow", "wander")
+"""Which behaviors of the robot ``placed`` live in processes of their own."""
+
+
+def folder_of_robot(folder: Path, placed: Iterable[str] = ()) -> Path:
     """Make a folder with the robot and its file."""
-    (folder / "robot.toml").write_text(FILE)
+    file = FILE
+    for name in placed:
+        table = f"[behavior.{name}]\n"
+        file = file.replace(table, f'{table}placement = "process"\n')
+    (folder / "robot.toml").write_text(file)
     (folder / "robots.py").write_text(Path(robots.__file__).read_text())
     return folder
 
@@ -103,7 +113,7 @@ async def recorded(what: str, seed: int, seconds: float, folder: Path) -> Told:
         last = seconds / OF_THE_SHOW
         words = ["-c", DEMO.format(seed=seed, last=last)]
     else:
-        folder_of_robot(folder)
+        folder_of_robot(folder, PLACED if what == "placed" else ())
         words = ["-m", "esair", "run", "robot.toml", "--for", str(seconds)]
         words += ["--record", "run.mcap"]
     return await told_by(folder, *words, hash_seed=seed + 1, patience=5 * seconds + 60)
@@ -115,7 +125,7 @@ async def unequal(
     """Record runs and repeat each; return what was not equal, a text for each.
 
     Args:
-        what: ``demo`` or ``robot``.
+        what: ``demo``, ``robot`` or ``placed``.
         count: How many runs.
         seconds: About how long each is.
         at_once: How many at a time.
@@ -155,7 +165,7 @@ async def unequal(
 def main() -> int:
     """Do what the command line says; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=["demo", "robot"])
+    parser.add_argument("what", choices=["demo", "robot", "placed"])
     parser.add_argument("count", type=int)
     parser.add_argument("seconds", type=float)
     parser.add_argument("--at-once", type=int, default=4)

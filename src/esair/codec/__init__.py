@@ -6,9 +6,16 @@ what the robot's own ports, drivers and requests declare, and an object is made 
 fields. What cannot cross is an error of its sender that names the field.
 """
 
-from esair.codec._declared import declared
-from esair.codec._decode import decode
-from esair.codec._encode import encode
-from esair.codec._kinds import LIMIT, CodecError, Kinds
+from esair.codec._coding import decode, encode
+from esair.codec._kinds import LIMIT, CodecError, Kinds, declared, inner_of, kinds_of
 
-__all__ = ["LIMIT", "CodecError", "Kinds", "declared", "decode", "encode"]
+__all__ = [
+    "LIMIT",
+    "CodecError",
+    "Kinds",
+    "declared",
+    "decode",
+    "encode",
+    "inner_of",
+    "kinds_of",
+]

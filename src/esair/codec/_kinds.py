@@ -6,9 +6,10 @@ import asyncio
 import builtins
 import dataclasses
 import enum
+import sys
 import types
 import typing
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 import attrs
@@ -21,23 +22,11 @@ LIMIT: Final = 1 << 20
 DEPTH: Final = 64
 """How deep values may be nested."""
 
-ITEMS: Final = 500_000
-"""How many items a message may have in all, whatever its size."""
-
-SMALLEST: Final = 8
-"""One item for so many bytes that a message may have: memory follows from its size."""
-
-PACKED: Final = 4
-"""How many numbers of a row count as one item."""
-
-DIGITS: Final = 10_000
-"""How many digits a whole or decimal number may have."""
-
 PATH: Final = 60
 """How much of the path to a part an error tells, in characters, from the outside."""
 
 STRANGERS: Final = 256
-"""How many classes of errors a table knows by name only."""
+"""How many classes a table knows by name only, and how many definitions it keeps."""
 
 
 class CodecError(ValueError):
@@ -60,12 +49,12 @@ class CodecError(ValueError):
 
 
 class Form(enum.Enum):
-    """How objects of a class are made."""
+    """How objects of a class are made, with the tag that they have."""
 
-    RECORD = 1  # by their fields: attrs classes, data classes
-    TUPLE = 2  # a named tuple
-    ENUM = 3
-    ERROR = 4
+    RECORD = b"o"  # by their fields: attrs classes, data classes
+    TUPLE = b"n"  # a named tuple
+    ENUM = b"e"
+    ERROR = b"X"
 
 
 class Shape(NamedTuple):
@@ -161,7 +150,6 @@ class Kinds:
         """Modules that may have had other names when a value was sent."""
         self._more = more
         self._shapes: dict[type, Shape] = {}
-        self._asked: dict[type, Shape] = {}  # those that were found to be the only ones
         self._named: dict[str, type] = {}
         self._doubled: set[str] = set()
         self._unknown: dict[tuple[str, str], type] = {}
@@ -192,7 +180,6 @@ class Kinds:
             self._shapes[each] = shape
             if self._named.setdefault(name_of(each), each) is not each:
                 self._doubled.add(name_of(each))
-                self._asked.clear()
             if shape.form in {Form.RECORD, Form.TUPLE}:
                 waiting += hints_of(each).values()
 
@@ -205,17 +192,13 @@ class Kinds:
         Raises:
             CodecError: They may not cross.
         """
-        shape = self._asked.get(kind)
-        if shape is not None:
-            return shape
         shape = self._shapes.get(kind)
         if shape is None and self._more is not None:
             self._more(self)
             shape = self._shapes.get(kind)
         if shape is not None:
-            if name_of(kind) in self._doubled:
+            if self._doubled and name_of(kind) in self._doubled:
                 raise CodecError(f"there are two classes {name_of(kind)}")
-            self._asked[kind] = shape
             return shape
         if issubclass(kind, BaseException) and (found := shape_of(kind)) is not None:
             return found
@@ -229,11 +212,6 @@ class Kinds:
             f"{what} is not declared: name it where a port, a driver or a request says "
             "what it gives"
         )
-
-    def remember(self, kind: type, definition: bytes) -> None:
-        """Keep the definition of a class; a few are enough to be quick."""
-        if len(self.definitions) < STRANGERS:
-            self.definitions[kind] = definition
 
     def find(self, name: str) -> tuple[type, Shape] | None:
         """Return the class of a name, and how its objects are made."""
@@ -281,6 +259,44 @@ class Kinds:
 _KNOWN: Final = {"builtins", exceptions.__name__}
 
 
+def kinds_of(
+    components: Callable[[], Iterable[Any]],
+    always: Iterable[Any] = (),
+    *,
+    strangers: bool = False,
+) -> Kinds:
+    """Return the classes that a robot's components declare, those added later too.
+
+    They are looked up when a value needs them: that takes some ms for each module.
+
+    Args:
+        components: Returns the components that there are, or their classes.
+        always: Classes that may cross whatever they declare.
+        strangers: As for `Kinds`.
+    """
+    seen: set[type] = set()
+
+    def add(kinds: Kinds) -> None:
+        for each in list(components()):
+            kind = each if isinstance(each, type) else type(inner_of(each))
+            if kind not in seen:
+                seen.add(kind)
+                kinds.programs.append(kind.__module__)
+                for found in (*declared(kind), getattr(each, "value_type", None)):
+                    kinds.add(found)
+
+    kinds = Kinds(always, strangers=strangers, more=add)
+    kinds.programs.append("__main__")
+    return kinds
+
+
+def inner_of(component: Any) -> Any:
+    """Return what the user has written: a class of ESAIR MIN is in an adapter."""
+    fields = vars(component)
+    inner = fields.get("reaction", fields.get("device"))
+    return component if inner is None else inner
+
+
 def hints_of(something: Any) -> dict[str, Any]:
     """Return the annotations of a class or function, as far as they can be resolved."""
     try:
@@ -290,3 +306,40 @@ def hints_of(something: Any) -> dict[str, Any]:
         for base in getattr(something, "__mro__", (something,)):
             found.update(vars(base).get("__annotations__", {}))
         return found
+
+
+_FRAMEWORK: Final = {"abc", "actions", "resources", "connections", "minimal", "loop"}
+"""The rooms of esair whose classes say nothing of a robot's own data."""
+
+
+def declared(kind: type) -> Iterator[Any]:
+    """Yield the types that the class of a component declares, some more than once.
+
+    They are those of its ports, requests and annotations, and the classes that stand
+    beside it in its module, or in a module that is named there. Nothing is imported.
+    """
+    for base in kind.__mro__:
+        room = base.__module__.split(".")
+        if room[0] in {"builtins", "typing", "abc"} or (
+            room[0] == "esair" and room[1] in _FRAMEWORK
+        ):
+            continue
+        yield from getattr(base, "__orig_bases__", ())
+        yield from hints_of(base).values()
+        for each in vars(base).values():
+            if isinstance(each, types.FunctionType):
+                yield from hints_of(each).values()
+            else:
+                yield getattr(each, "type", None)  # a port
+        yield from _in_module(base.__module__)
+
+
+def _in_module(name: str) -> Iterator[type]:
+    module = sys.modules.get(name)
+    for each in list(vars(module).values()) if module is not None else ():
+        if isinstance(each, type):
+            yield each
+        elif isinstance(each, types.ModuleType):
+            for other in list(vars(each).values()):
+                if isinstance(other, type) and other.__module__ == each.__name__:
+                    yield other

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import concurrent.futures
 import contextlib
 import contextvars
 import faulthandler
@@ -15,22 +16,68 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable, Iterator
+from types import ModuleType
 from typing import Any, Final
 
 from esair.actions import Behavior, Reaction, adapt_action
-from esair.exceptions import BusyError, describe
+from esair.codec import Kinds, declared, inner_of
+from esair.exceptions import BusyError, ConfigError, describe
 from esair.loop import OwnedTasks, Owner, Portal, Stream, raisable, spawn
 from esair.placement._home import Order, Reacting, fill, scope
-from esair.placement._kinds import KindsOfChild
 from esair.placement._loop import ChildLoop
-from esair.placement._recipe import find, make
-from esair.placement._wire import CALLS, ITEMS, Item, Values, Wire
-from esair.placement._words import RECORD
-from esair.plan import inner_of, recipe_of
+from esair.placement._verbs import SCRIPT_OF_CHILD
+from esair.placement._wire import (
+    ALWAYS,
+    CALLS,
+    ITEMS,
+    RECORD,
+    End,
+    Exchange,
+    Item,
+    Wire,
+    make,
+    settle,
+)
+from esair.plan import SCRIPT, recipe_of
 from esair.resources import Sensor, adapt_resource
 
 _MIB: Final = 1 << 20
+
+
+class KindsOfChild(Kinds):
+    """The classes that a child may get: the robot names them, and it imports them."""
+
+    def __init__(self) -> None:
+        self._own: list[type] = []
+        super().__init__(ALWAYS, more=self._add_own)
+
+    def declare(self, kind: type) -> None:
+        """Let those cross that a class declares."""
+        self.programs.append(kind.__module__)
+        self._own.append(kind)
+
+    def _add_own(self, _: Kinds) -> None:
+        while self._own:
+            for each in declared(self._own.pop()):
+                self.add(each)
+
+    def find(self, name: str) -> Any:
+        found = super().find(name)
+        if found is None:
+            module, _, path = name.partition(":")
+            try:
+                made: Any = sys.modules.get(module) or __import__(
+                    module, fromlist=["_"]
+                )
+                for part in path.split("."):
+                    made = getattr(made, part)
+            except (ImportError, AttributeError):
+                return None
+            self.add(made)
+            found = super().find(name)
+        return found
+
 
 _KINDS: Final = KindsOfChild()  # made once, for all children
 
@@ -54,13 +101,12 @@ def _no_terminal(*_: object, **__: object) -> None:
     )
 
 
-class Child:
+class Child(Exchange):
     """One component, and its way to the robot."""
 
     def __init__(self, wire: Wire) -> None:
+        super().__init__("", _KINDS)
         self._wire = wire
-        self.values: Values
-        self.name = ""
         self._own = Owner()
         self.owner: Owner | None = self._own
         self.component: Any = None
@@ -68,27 +114,36 @@ class Child:
         self._news: dict[int, Callable[[Any], object]] = {}
         self.orders: dict[int, Callable[[], object]] = {}
         """What ends the work on a request, by its number."""
-        self._calls: dict[int, asyncio.Future[Any] | None] = {}
-        self._working: dict[int, asyncio.Task[Any]] = {}
-        self._number = 0
-        self._out: list[Item] = []
         self._heard = time.monotonic()
         self._has_turn = False
+        self._asked_at = 0  # the pass of the loop in which it has waited last
         self._stall: float | None = None
         self._streams: dict[int, Any] = {}
         self.reacting: dict[int, Reacting] = {}
         """The reaction that it is, or those that it performs, by the number of the call."""
+        self._at_once: dict[str, Callable[..., Any]] = {
+            "settle": self._settle,
+            "make": self._make,
+            "react": lambda step, *asked: self.reacting[step].decide(*asked),
+        }
+        self._own_verbs: dict[str, Callable[..., Any]] = {
+            "stream": self._stream,
+            "next": self._next,
+            "order": self._answer,
+            "apply": self._apply,
+        }
         self._thread = threading.get_ident()
         self.loop = ChildLoop(self)
         asyncio.set_event_loop(self.loop)
         OwnedTasks.of(self.loop).install()
 
-    # What the loop asks (`Home`).
+    # What the loop asks.
 
     def fileno(self) -> int:
         return self._wire.fileno()
 
     def idle(self, wake: float | None) -> None:
+        """Say that nothing is ready, and when to go on."""
         if self._stall is not None:
             faulthandler.cancel_dump_traceback_later()
         if self._has_turn:
@@ -99,26 +154,29 @@ class Child:
         self._wire.send(("tick", None), [])
 
     def hear(self) -> float:
-        now, items = self._receive()
+        """Take what the robot says; return what time it is there."""
+        now, items = self._receive(goes_on=True)
         for item in items:
             self._take(item)
         return now
 
-    def _send(self, kind: str, wake: float | None) -> None:
-        out, self._out = self._out, []
+    def _send(self, kind: str, wake: float | None = None) -> None:
+        items = self.message()
+        if self.queue and kind == "idle":
+            kind, wake = "turn", None  # there is more to tell
         try:
-            self._wire.send((kind, wake), out)
+            self._wire.send((kind, wake), items)
         except OSError:
             self.end()
 
-    def _receive(self) -> tuple[float, list[Item]]:
+    def _receive(self, *, goes_on: bool) -> tuple[float, list[Item]]:
         message = self._wire.receive()
         if message is None:
             self.end()
         assert message is not None
         self._has_turn = True
         self._heard = time.monotonic()
-        if self._stall is not None:  # nobody there has a clock that tells
+        if goes_on and self._stall is not None:  # nobody there has a clock that tells
             faulthandler.dump_traceback_later(self._stall, exit=True)
         return message
 
@@ -137,11 +195,11 @@ class Child:
     def call(self, verb: str, *args: Any, **options: Any) -> asyncio.Future[Any]:
         """Call the robot; awaiting waits for the end."""
         future = self.loop.create_future()
-        number = self._ask(verb, args, options, future)
+        number = self._call(settle(future), verb, args, options)
 
         def done(future: asyncio.Future[Any]) -> None:
-            if future.cancelled() and self._calls.pop(number, None) is not None:
-                self._out.append(Item("cancel", number, "", b""))
+            if future.cancelled() and self.calls.pop(number, None) is not None:
+                self.tell("cancel", number)
 
         future.add_done_callback(done)
         return future
@@ -149,74 +207,55 @@ class Child:
     def told_of(self, number: int, hear: Callable[[Any], object]) -> None:
         self._news[number] = hear
 
-    @property
-    def newest(self) -> int:
-        """The number of the newest call."""
-        return self._number
-
-    def ask(self, verb: str, *args: Any, **options: Any) -> Any:
+    def wait(self, verb: str, *args: Any, **options: Any) -> Any:
         """Call the robot, and wait without a turn: what it does is done when this returns."""
         if threading.get_ident() != self._thread:
-            return self.here(self.ask, verb, *args, **options)
-        number = self._ask(verb, args, options, None)
-        self._send("sync", None)
-        found: Item | None = None
-        while found is None:
-            _, items = self._receive()
-            for item in items:
+            return self.here(self.wait, verb, *args, **options)
+        outcome: list[Any] = []
+        number = self._call(lambda *end: outcome.extend(end), verb, args, options)
+        goes_on = self.loop.passes != self._asked_at
+        self._asked_at = self.loop.passes
+        while not outcome:
+            self._send("turn" if goes_on else "sync")
+            for item in self._receive(goes_on=goes_on)[1]:
                 if item.number == number and item.op in {"done", "fail"}:
-                    found = item
+                    self.ended(number, *self.opened(item))
                 else:
                     self.loop.call_soon(self._take, item)
-            if found is None:
-                self._send("sync", None)
-        del self._calls[number]
-        if found.op == "done":
-            return self.values.unpack(found.data)
-        raise self.values.unpack_error(found.data)
+            goes_on = False
+        value, error = outcome
+        if error is not None:
+            raise error
+        return value
 
     def note(self, verb: str, *args: Any) -> None:
         """Tell the robot something, from any thread, and wait for nothing."""
         if threading.get_ident() != self._thread:
             self.loop.call_soon_threadsafe(self.note, verb, *args)
             return
-        self._ask(verb, args, {}, None)
+        self._call(lambda *_: None, verb, args, {})
 
     def here(self, function: Callable[..., Any], *args: Any, **options: Any) -> Any:
         """Call something in the loop, and wait for it in a thread."""
-        ready = threading.Event()
-        outcome: list[Any] = []
+        outcome: concurrent.futures.Future[Any] = concurrent.futures.Future()
         context = contextvars.copy_context()
 
         def run() -> None:
             try:
-                outcome.extend((context.run(function, *args, **options), None))
+                outcome.set_result(context.run(function, *args, **options))
             except BaseException as error:
-                outcome.extend((None, error))
-            ready.set()
+                outcome.set_exception(error)
 
         self.loop.call_soon_threadsafe(run)
-        ready.wait()
-        value, error = outcome
-        if error is not None:
-            raise error
-        return value
+        return outcome.result()
 
-    def _ask(
-        self,
-        verb: str,
-        args: tuple[Any, ...],
-        options: dict[str, Any],
-        future: asyncio.Future[Any] | None,
+    def _call(
+        self, end: End, verb: str, args: tuple[Any, ...], options: dict[str, Any]
     ) -> int:
-        if len(self._calls) >= CALLS or len(self._out) >= ITEMS // 2:
+        if len(self.queue) >= ITEMS // 2:
             raise BusyError(self.name, "number of calls from its process", CALLS)
         busy = time.monotonic() - self._heard
-        data = self.values.pack(verb, (scope.get(), busy, args, options))
-        self._number += 1
-        self._calls[self._number] = future
-        self._out.append(Item("call", self._number, verb, data))
-        return self._number
+        return self.ask(verb, (scope.get(), busy, args, options), end)
 
     # What the robot asks.
 
@@ -225,85 +264,40 @@ class Child:
         if op == "call":
             self._begin(number, verb, data)
         elif op == "cancel":
-            if number in self._working:
-                self._working[number].cancel()
+            self.cancel(number)
         elif op == "news":
-            self._news[number](self.values.unpack(data))
+            self._news[number](self.unpack(data))
         elif op == "withdrawn":
             self.orders[number]()
         else:
             self._news.pop(number, None)
-            future = self._calls.pop(number, None)
-            if future is None or future.done():
-                return
-            if op == "done":
-                future.set_result(self.values.unpack(data))
-                return
-            error = self.values.unpack_error(data)
-            if isinstance(error, asyncio.CancelledError):
-                future.cancel()
-            else:
-                future.set_exception(error)
+            self.ended(number, *self.opened(item))
 
     def _begin(self, number: int, verb: str, data: bytes) -> None:
-        if verb == "settle":
-            self.values = Values("", _KINDS)
         try:
-            args, options = self.values.unpack(data)
-            quick: dict[str, Callable[..., Any]] = {
-                "settle": self._settle,
-                "make": self._make,
-                "react": self._decide,
-            }
-            if verb in quick:
-                self._end_call(number, quick[verb](*args), None)
+            args, options = self.unpack(data)
+            if verb in self._at_once:
+                self.answer(number, self._at_once[verb](*args), None)
                 return
         except BaseException as error:
-            self._end_call(number, None, error)
+            self.answer(number, None, error)
             return
         context = contextvars.copy_context()
         context.run(scope.set, number)
-        self._working[number] = spawn(
+        self.tasks[number] = spawn(
             self.loop,
-            self._do(number, verb, args, options),
+            self.work(number, self._does, verb, *args, **options),
             name=f"{self.name} {verb}",
             owner=self.owner,
             context=context,
         )
 
-    def _end_call(self, number: int, value: Any, error: BaseException | None) -> None:
-        self._working.pop(number, None)
-        if error is None:
-            try:
-                data = self.values.pack("answer", value)
-            except Exception as unfit:
-                error = unfit
-            else:
-                self._out.append(Item("done", number, "", data))
-                return
-        self._out.append(Item("fail", number, "", self.values.pack_error(error)))
-
-    async def _do(
-        self, number: int, verb: str, args: tuple[Any, ...], options: dict[str, Any]
-    ) -> None:
-        value: Any = None
-        failed: BaseException | None = None
-        try:
-            value = await self._method(verb)(*args, **options)
-        except BaseException as error:  # told to the robot
-            failed = error
-        self._end_call(number, value, failed)
+    async def _does(self, verb: str, /, *args: Any, **options: Any) -> Any:
+        return await self._method(verb)(*args, **options)
 
     def _method(self, verb: str) -> Callable[..., Any]:
-        own: dict[str, Callable[..., Any]] = {
-            "stream": self._stream,
-            "next": self._next,
-            "order": self._answer,
-        }
-        if verb in own:
-            return own[verb]
-        if verb == "apply":
-            return self._apply
+        if verb in self._own_verbs:
+            return self._own_verbs[verb]
         function: Callable[..., Any] = getattr(self.component, verb)
         if inspect.iscoroutinefunction(function):
             return function
@@ -327,7 +321,7 @@ class Child:
 
     def _settle(self, given: dict[str, Any]) -> None:
         sys.path[:] = given["path"]
-        self.name = self.values.name = given["name"]
+        self.name = given["name"]
         self._own.stream = Stream(given["stream"])
         self._stall = given["stall"]
         if given["memory"] is not None:
@@ -356,9 +350,6 @@ class Child:
         else:
             assert isinstance(made, Sensor)
             made._listener = self._device_said  # noqa: SLF001 - as its life does
-
-    def _decide(self, step: int, *asked: Any) -> Any:
-        return self.reacting[step].decide(*asked)
 
     def recipe(self, action: Any) -> dict[str, Any]:
         """Return what the robot makes of an action that was made here."""
@@ -404,33 +395,48 @@ def _called(function: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-async def _of_thread(values: Any) -> Any:
+async def _of_thread(values: Iterator[Any]) -> AsyncIterator[Any]:
     """Yield what a blocking stream gives; a thread waits for it."""
     end = object()
-    loop = asyncio.get_running_loop()
-    while True:
-        future = loop.create_future()
 
-        def wait(future: asyncio.Future[Any] = future) -> None:
-            try:
-                outcome, error = next(values, end), None
-            except BaseException as raised:
-                outcome, error = end, raised
+    def wait() -> Any:
+        try:
+            return next(values, end)
+        except BaseException as error:
+            raise raisable(error) from error
 
-            def tell() -> None:
-                if not future.done():
-                    if error is None:
-                        future.set_result(outcome)
-                    else:
-                        future.set_exception(raisable(error))
-
-            loop.call_soon_threadsafe(tell)
-
-        threading.Thread(target=wait, daemon=True).start()
-        value = await future
-        if value is end:
-            return
+    thread = concurrent.futures.ThreadPoolExecutor(1)
+    while (value := await asyncio.wrap_future(thread.submit(wait))) is not end:
         yield value
+
+
+def find(recipe: dict[str, Any]) -> Any:
+    """Return the class that a recipe names, in the child."""
+    module = recipe["module"]
+    if module == SCRIPT:
+        found: Any = _script(recipe["script"])
+    else:
+        __import__(module)
+        found = sys.modules[module]
+    for part in recipe["class"].split("."):
+        found = getattr(found, part)
+    return found
+
+
+def _script(path: str) -> ModuleType:
+    """Import the script that the robot was started with, but not as the one that runs."""
+    import runpy
+
+    known = sys.modules.get(SCRIPT_OF_CHILD)
+    if known is None:
+        known = ModuleType(SCRIPT_OF_CHILD)
+        sys.modules[SCRIPT] = sys.modules[SCRIPT_OF_CHILD] = known
+        try:
+            vars(known).update(runpy.run_path(path, run_name=SCRIPT_OF_CHILD))
+        except (RuntimeError, ConfigError) as error:  # of the loop that runs here
+            told = "a child imports it: put what runs under if __name__ == '__main__':"
+            raise ConfigError(path, "", told) from error
+    return known
 
 
 class Words(logging.Handler):

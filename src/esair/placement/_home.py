@@ -7,7 +7,7 @@ import contextlib
 import contextvars
 import inspect
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator, Iterator
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from esair import minimal
 from esair.abc import Action
@@ -27,11 +27,12 @@ from esair.actions import (
     taken,
 )
 from esair.connections import Halting, Stopped
-from esair.loop import Budget, Owner, Portal, Stepping, raisable, spawn
+from esair.loop import Budget, Portal, Stepping, raisable, spawn
 from esair.messages import BehaviorStatus
-from esair.placement._loop import ChildLoop
-from esair.placement._wire import Values
 from esair.plan import in_use, refuse, used_already
+
+if TYPE_CHECKING:
+    from esair.placement._child import Child
 
 scope: contextvars.ContextVar[int] = contextvars.ContextVar("esair_scope", default=0)
 """For which call of the robot the code that runs now works."""
@@ -42,32 +43,10 @@ _CALLED = {"history", "why", "release"}
 _ASKED = {"newest", "settings", "state", "max_age"}
 
 
-class Line(Protocol):
-    """The way of a component to its robot: the process that it is in."""
-
-    loop: ChildLoop
-    values: Values
-    portal: Portal | None
-    orders: dict[int, Callable[[], object]]
-    reacting: dict[int, Reacting]
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def owner(self) -> Owner | None: ...
-    @property
-    def newest(self) -> int: ...
-    def call(self, verb: str, *args: Any, **options: Any) -> asyncio.Future[Any]: ...
-    def ask(self, verb: str, *args: Any, **options: Any) -> Any: ...
-    def note(self, verb: str, *args: Any) -> None: ...
-    def told_of(self, number: int, hear: Callable[[Any], object]) -> None: ...
-    def recipe(self, action: Any) -> dict[str, Any]: ...
-
-
 class Host:
     """What a behavior asks of its supervisor, and how it reaches others."""
 
-    def __init__(self, child: Line, portal: Portal | None, step: str = "") -> None:
+    def __init__(self, child: Child, portal: Portal | None, step: str = "") -> None:
         self._child = child
         self._step = step
         self.budget = Budget.of(child.loop)
@@ -86,11 +65,10 @@ class Host:
         return await self._child.call("get", sender, interval)
 
     async def receive(self, timeout: float | None) -> tuple[str, Any]:
-        sender, data = await self._child.call("receive", timeout)
-        return sender, data
+        return await self._child.call("receive", timeout)  # type: ignore[no-any-return]
 
     def offer(self, data: Any, latest: bool) -> None:
-        self._child.ask("offer", data, latest=latest)
+        self._child.wait("offer", data, latest=latest)
 
     async def ask(
         self,
@@ -153,7 +131,7 @@ class Host:
             assert child.owner is not None
             return await run_as_step(
                 *(behavior, child.name, portal, child.owner, timeout),
-                lambda: child.ask("stage", number),
+                lambda: child.wait("stage", number),
             )
         finally:
             take_back(behavior, host, portal)
@@ -175,7 +153,7 @@ class Host:
 
     def halt_robot(self, reason: str) -> Halting:
         child, halting = self._child, Halting()
-        child.ask("halt", reason)
+        child.wait("halt", reason)
 
         async def hear() -> None:
             halting.settle(await child.call("halted"))
@@ -190,7 +168,7 @@ class Host:
         return Stopped(*await self._child.call("stop", reason))
 
     def query(self, name: str) -> BehaviorStatus:
-        return self._child.ask("query", name)  # type: ignore[no-any-return]
+        return self._child.wait("query", name)  # type: ignore[no-any-return]
 
     async def manage(self, verb: str, *args: Any) -> Any:
         told = (
@@ -201,7 +179,7 @@ class Host:
 
 
 def fill(
-    child: Line, behavior: Behavior, portal: Portal | None, step: str = ""
+    child: Child, behavior: Behavior, portal: Portal | None, step: str = ""
 ) -> Host:
     """Give a behavior what it declares: it, or a step that it performs."""
     host = Host(child, portal, step)
@@ -225,7 +203,7 @@ class Reacting:
 
     def __init__(
         self,
-        child: Line,
+        child: Child,
         reaction: Reaction,
         until: Callable[[dict[str, Any]], bool] | None = None,
         number: str = "",
@@ -259,7 +237,7 @@ class Reacting:
             self._stepping.owner = None
 
 
-def port_for(child: Line, key: str, resource: str, portal: Portal | None) -> Any:
+def port_for(child: Child, key: str, resource: str, portal: Portal | None) -> Any:
     """Return the way to a device: to that of its registration, in the robot."""
     port = RemotePort(child, key, resource)
     return port if portal is None else BlockingPort(port, portal)
@@ -268,7 +246,7 @@ def port_for(child: Line, key: str, resource: str, portal: Portal | None) -> Any
 class RemotePort:
     """A `SensorPort` or an `ActuatorPort` of the robot, with the same methods."""
 
-    def __init__(self, child: Line, key: str, resource: str) -> None:
+    def __init__(self, child: Child, key: str, resource: str) -> None:
         self._child = child
         self._key = key
         self.resource = resource
@@ -281,17 +259,15 @@ class RemotePort:
                 return await child.call("port", key, name, *args, **options)
 
             return wait
-        if name == "release":
-
-            def release() -> Done:
-                child.ask("peek", key, name)
-                return Done()
-
-            return release
         if name in _CALLED:
-            return lambda *args: child.ask("peek", key, name, *args)
+
+            def call(*args: Any) -> Any:
+                found = child.wait("peek", key, name, *args)
+                return Done() if name == "release" else found
+
+            return call
         if name in _ASKED:
-            return child.ask("peek", key, name)
+            return child.wait("peek", key, name)
         raise AttributeError(name)
 
     def __aiter__(self) -> AsyncIterator[Any]:
@@ -322,24 +298,21 @@ class BlockingPort:
         self._portal = portal
 
     def __getattr__(self, name: str) -> Any:
+        port, call = self._port, self._portal.call
         if name in _AWAITED | _CALLED:
-            return lambda *args, **options: self._portal.call(
-                in_loop, _named, self._port, name, *args, **options
+            return lambda *args, **options: call(
+                in_loop, lambda: getattr(port, name)(*args, **options)
             )
-        return self._portal.call(in_loop, getattr, self._port, name)
+        return call(in_loop, getattr, port, name)
 
     def __iter__(self) -> Iterator[Any]:
         return each_of(self._port._values(), self._portal)  # noqa: SLF001 - as the port
 
 
-def _named(port: RemotePort, name: str, *args: Any, **options: Any) -> Any:
-    return getattr(port, name)(*args, **options)
-
-
 class Loop(AsyncIterator[Any]):
     """One loop of a behavior over the requests that it takes."""
 
-    def __init__(self, child: Line, attribute: str) -> None:
+    def __init__(self, child: Child, attribute: str) -> None:
         self._child = child
         self._attribute = attribute
         self._number: int | None = None
@@ -360,7 +333,7 @@ class Order:
 
     def __init__(
         self,
-        child: Line,
+        child: Child,
         number: int,
         data: Any,
         sender: str,
@@ -377,16 +350,16 @@ class Order:
 
     @property
     def cancelled(self) -> bool:
-        return bool(self._child.ask("order", self._number, "cancelled"))
+        return bool(self._child.wait("order", self._number, "cancelled"))
 
     def answer(self, value: Any) -> bool:
-        return bool(self._child.ask("order", self._number, "answer", value))
+        return bool(self._child.wait("order", self._number, "answer", value))
 
     def refuse(self, reason: str) -> bool:
-        return bool(self._child.ask("order", self._number, "refuse", reason))
+        return bool(self._child.wait("order", self._number, "refuse", reason))
 
     def progress(self, value: Any) -> bool:
-        return bool(self._child.ask("order", self._number, "progress", value))
+        return bool(self._child.wait("order", self._number, "progress", value))
 
     def enter(self) -> None:
         """Somebody begins to work on it, in a block of its own."""
@@ -395,7 +368,7 @@ class Order:
             assert self._worker is not None
             self._before = self._worker.cancelling()
             self._child.orders[self._number] = self._withdrawn
-        self._child.ask("enter", self._number)
+        self._child.wait("enter", self._number)
 
     def serve(self) -> None:
         """What is done here from now on is done for it."""
@@ -409,8 +382,8 @@ class Order:
         if self._cancels and worker is not None:
             undone = worker.uncancel() <= self._before
             mine = undone and isinstance(error, asyncio.CancelledError)
-        told = None if error is None else self._child.values.pack_error(error)
-        self._child.ask("leave", self._number, told)
+        told = None if error is None else self._child.pack_error(error)
+        self._child.wait("leave", self._number, told)
         return mine
 
     def _withdrawn(self) -> None:

@@ -9,18 +9,12 @@ from __future__ import annotations
 import heapq
 import math
 import select
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from esair.loop import NEVER, SECOND, TurnLoop
 
-
-class Home(Protocol):
-    """The robot, as the loop of a child knows it."""
-
-    def fileno(self) -> int: ...
-    def idle(self, wake: float | None) -> None: ...
-    def tick(self) -> None: ...
-    def hear(self) -> float: ...
+if TYPE_CHECKING:
+    from esair.placement._child import Child
 
 
 class ChildLoop(TurnLoop):
@@ -28,8 +22,10 @@ class ChildLoop(TurnLoop):
 
     virtual = True
 
-    def __init__(self, home: Home) -> None:
+    def __init__(self, home: Child) -> None:
         self._now = 0.0
+        self.passes = 0
+        """How often it has gone on to what is ready."""
         super().__init__()
         self._home = home
         self._selector.register(home.fileno(), select.POLLIN)  # type: ignore[attr-defined]
@@ -45,6 +41,7 @@ class ChildLoop(TurnLoop):
     def _pass(self, timeout: float | None = None) -> Any:
         events = self._work_off()
         self._turn.number += 1
+        self.passes += 1
         self._turn.border(self._now)
         return events
 

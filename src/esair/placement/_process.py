@@ -10,6 +10,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import contextvars
+import json
+import logging
 import math
 import os
 import select
@@ -19,64 +21,73 @@ import threading
 from collections.abc import Callable
 from typing import Any, Final
 
-from esair.codec import CodecError
-from esair.exceptions import BadValueError, BusyError, ProcessDiedError
+from esair.codec import CodecError, Kinds
+from esair.exceptions import ProcessDiedError, printable
 from esair.loop import Deadlines, Door, First, OneShot, Player, Scheduler, clock_of
 from esair.messages import Placement
 from esair.placement._nursery import Nursery, told_end
-from esair.placement._wire import CALLS, Item, Values, Wire
-from esair.placement._words import Words
+from esair.placement._wire import RECORD, End, Exchange, Item, Wire, settle
 
 STACK: Final = 0.05
 """How long a child that hangs has to say where, before it is killed, in seconds."""
 
-End = Callable[[Any, BaseException | None], object]
+START: Final = 30.0
+"""How long a child may take to be there at all, in seconds."""
+
+LARGE: Final = 1 << 14
+"""What has more bytes is opened in a thread: it would hold up the loop for a millisecond."""
+
+KEPT: Final = 2000
+"""How many characters of what a child has written last are kept."""
+
+LINES: Final = 200
+"""How many lines of a child are logged in a second."""
+
+NAMES: Final = 64
+"""How many loggers a child may name that nobody else has: they are kept for ever."""
+
+_log = logging.getLogger("esair")
 
 
-class Process:
+class Process(Exchange):
     """One child, from its start to its end.
 
     Args:
-        values: How its values are coded.
+        name: Of its component.
+        kinds: The classes that may cross.
         placement: How it is limited.
         nursery: Where it comes from.
         repeats: Whether it runs in a replay, too; what drivers give comes from the tape.
         serve: Called with each call of the child: its number, verb and arguments.
-        withdraw: Called with the number of a call that the child wants no more.
         died: Called with the error, once, if it ends before it is closed.
     """
 
     def __init__(
         self,
-        values: Values,
+        name: str,
+        kinds: Kinds,
         placement: Placement,
         nursery: Nursery,
         *,
         repeats: bool,
         serve: Callable[[int, str, Any], object],
-        withdraw: Callable[[int], object],
         died: Callable[[ProcessDiedError], object],
     ) -> None:
-        self.values = values
-        self.name: str = values.name
+        super().__init__(name, kinds)
         self.pid: int | None = None
         self.error: ProcessDiedError | None = None
         """Why it is gone; None while it lives."""
         self.scopes: dict[int, contextvars.Context] = {}
         """For whom the child works, by the number of the call that it works for."""
-        self.sent: float = 0.0  # when the message was sent that it works on
-        self._serve, self._withdraw, self._died = serve, withdraw, died
+        self._sent = 0.0  # when the message was sent that it works on
+        self._serve, self._died = serve, died
         self._loop = loop = asyncio.get_running_loop()
         self._time = clock_of(loop)
         self._door = Door.of(loop)
-        self._repeats = repeats
-        self._tag = ("thread" if repeats else "driver", self.name)
+        self._tag = ("thread" if repeats else "driver", name)
         self._lane = object()
-        self._calls: dict[int, End] = {}
         self._told_to_end: set[int] = set()
         self._is_empty = False  # nothing could be made in it
-        self._number = 0
-        self._queue: list[Item] = []
         self._work = 0  # the number that the door has given to what it works on
         self._idle = True
         self._ticks = 0
@@ -87,16 +98,15 @@ class Process:
         self._hang = Deadlines.beside(loop).idle(self._hung)
         ends = nursery.child()
         self._wire = Wire(ends.wire)
-        self._words = Words(self.name, ends.words, loop)
+        self._words = Words(name, ends.words, loop)
         self._status = ends.status
-        self._tape(loop)
-        tape = self._door.tape
-        self._is_repeated = isinstance(tape, Player)
-        if not self._is_repeated:
+        self._keeps = self._on_tape() if repeats else None
+        if isinstance(self._door.tape, Player):
+            # It waits for what is on its tape, and not in its selector.
+            threading.Thread(target=self._read_on, daemon=True).start()
+        else:
             loop.add_reader(self._wire.fileno(), self._readable)
             loop.add_reader(self._status.fileno(), self._told)
-        else:  # it waits for what is on its tape, and not in its selector
-            threading.Thread(target=self._read_on, daemon=True).start()
 
     # What the robot asks of it.
 
@@ -104,7 +114,7 @@ class Process:
         """Call something in the child; its end comes to a function.
 
         Returns:
-            The number of the call, for `cancel`.
+            The number of the call.
 
         Raises:
             ProcessDiedError: It is gone.
@@ -113,14 +123,9 @@ class Process:
         """
         if self.error is not None:
             raise self.error.with_traceback(None)
-        if len(self._calls) >= CALLS:
-            raise BusyError(self.name, "number of calls of its process", CALLS)
-        data = self.values.pack(verb, (args, options))
-        self._number += 1
-        self._calls[self._number] = end
-        self.scopes[self._number] = contextvars.copy_context()
-        self.tell(Item("call", self._number, verb, data))
-        return self._number
+        number = self.ask(verb, (args, options), end)
+        self.scopes[number] = contextvars.copy_context()
+        return number
 
     async def run(self, verb: str, *args: Any, **options: Any) -> Any:
         """Call something in the child and wait for its end.
@@ -129,58 +134,41 @@ class Process:
         cancelled again does not.
         """
         waiter: asyncio.Future[Any] = self._loop.create_future()
-
-        def end(value: Any, error: BaseException | None) -> None:
-            if waiter.done():
-                return
-            if error is None:
-                waiter.set_result(value)
-            elif isinstance(error, asyncio.CancelledError):
-                waiter.cancel()
-            else:
-                waiter.set_exception(error)
-
-        number = self.call(verb, args, end, **options)
+        number = self.call(verb, args, settle(waiter), **options)
         try:
             return await waiter
         except asyncio.CancelledError:
-            if number not in self._calls:
+            if number not in self.calls:
                 raise
             waiter = self._loop.create_future()
+            self.calls[number] = settle(waiter)
             self._told_to_end.add(number)
-            self.tell(Item("cancel", number, "", b""))
+            self.tell("cancel", number)
             try:
                 return await waiter
             finally:
                 if not waiter.done() or waiter.cancelled():
-                    self._calls.pop(number, None)
+                    self.calls.pop(number, None)
 
-    def answer(self, number: int, value: Any, error: BaseException | None) -> None:
-        """Tell the child the end of a call of its own."""
-        if error is None:
-            try:
-                self.tell(Item("done", number, "", self.values.pack("answer", value)))
-                return
-            except Exception as unfit:
-                error = unfit
-        self.tell(Item("fail", number, "", self.values.pack_error(error)))
-
-    def tell(self, item: Item) -> None:
+    def tell(self, op: str, number: int, verb: str = "", data: bytes = b"") -> None:
         """Send something as soon as it is the child's turn to hear."""
         if self.error is None:
-            self._queue.append(item)
+            super().tell(op, number, verb, data)
             self._send()
 
     def refuse(self, error: BaseException) -> None:
         """Let an error be the end of every call: there is no component."""
         self._is_empty = True
-        calls, self._calls = self._calls, {}
+        self._end_calls(error)
+
+    def _end_calls(self, error: BaseException) -> None:
+        calls, self.calls = self.calls, {}
         for end in calls.values():
             end(None, error)
 
     def lateness(self, busy: float) -> float:
         """Return how long ago the child has done what takes effect now, in seconds."""
-        return self._time() - self.sent - busy
+        return self._time() - self._sent - busy
 
     @property
     def is_well(self) -> bool:
@@ -192,7 +180,7 @@ class Process:
         if self.error is None:
             self.error = ProcessDiedError(self.name, "was ended")
             if self._work:
-                self._kill()
+                self._signal(signal.SIGKILL)
             self._let_go()
 
     # Turns.
@@ -200,25 +188,20 @@ class Process:
     def _send(self) -> None:
         if self._idle and self.error is None:
             self._idle = False
-            if self._wake is not None:
-                Scheduler.of(self._loop).cancel(self._wake)
-                self._wake = None
+            self._forget_wake()
             self._door.give_out(self._begin, self._lane)  # type: ignore[arg-type]
 
     def _begin(self, work: int) -> None:
         self._work, self._ticks = work, 0
-        items, self._queue = self._queue, []
-        self.sent = now = self._time()
+        self._sent = now = self._time()
         if self._wanted is not None and self._wanted - now < 1e-4:
             now = max(now, self._wanted)  # a timer may ring a hair early
-        self._hang.start_by(self._time() + self._stall)
+        self._hang.start_by(self._sent + (self._stall if self.pid else START))
         if self.error is not None:  # it has died meanwhile
             self._end_work()
             return
-        try:
-            self._wire.send(now, items)
-        except OSError:  # it is gone: its status tells more
-            return
+        with contextlib.suppress(OSError):  # it is gone: its status tells more
+            self._wire.send(now, self.message())
 
     def _readable(self) -> None:
         while self.error is None:
@@ -239,31 +222,34 @@ class Process:
     def _read_on(self) -> None:
         waits = select.poll()
         waits.register(self._wire.fileno(), select.POLLIN)
-        while self.error is None and waits.poll():
-            try:
-                message = self._wire.receive()
-            except (OSError, CodecError):
-                return
-            if message is None:
-                return
-            self._arrived(message)
+        with contextlib.suppress(OSError, CodecError):
+            while self.error is None and waits.poll():
+                if (message := self._wire.receive()) is None:
+                    return
+                self._arrived(message)
 
     def _arrived(self, message: tuple[Any, list[Item]]) -> None:
         match message:
             case ("tick", _), []:
                 self._ticks += 1
-                if self._ticks > 2:
-                    self.condemn("has spoken out of turn")
-                else:
+                if self._ticks <= 2:
                     self._door.post(0, self._tag, self._ticked)
-                return
-            case (("idle" | "sync"), (None | float() as wake)), _ if self._work and (
-                wake is None or math.isfinite(wake)
+                    return
+            case (("idle" | "turn" | "sync"), (None | float() as wake)), items if (
+                self._work and (wake is None or math.isfinite(wake))
             ):
                 work, self._work = self._work, 0
-                self._door.post(work, self._tag, self._came, *message)
+                args = work, *message
+                if sum(len(each.data) for each in items) <= LARGE:
+                    self._open(*args)
+                else:  # the loop goes on meanwhile
+                    threading.Thread(target=self._open, args=args, daemon=True).start()
                 return
         self.condemn("has spoken out of turn")
+
+    def _open(self, work: int, head: Any, items: list[Item]) -> None:
+        opened = [(each, *self.opened(each)) for each in items]
+        self._door.post(work, self._tag, self._came, *head, opened)
 
     def _ticked(self) -> None:
         """It has heard of something by a way of its own: tell it the time."""
@@ -274,21 +260,26 @@ class Process:
             )
         self._send()
 
-    def _came(self, head: Any, items: list[Item]) -> None:
+    def _came(
+        self,
+        kind: str,
+        wake: float | None,
+        items: list[tuple[Item, Any, BaseException | None]],
+    ) -> None:
         """A message of the child takes effect."""
         if self.error is not None:
             return
-        self._hang.cancel()
-        wake = head[1]
-        for item in items:
+        if kind != "sync":  # else its loop does not go on: it may ask for ever
+            self._hang.cancel()
+        for each in items:
             try:
-                self._apply(item)
+                self._apply(*each)
             except Exception as error:
                 self.condemn(f"has sent what is no value: {error}")
             if self.error is not None:
                 return
         self._idle = True
-        if self._queue or head[0] == "sync":
+        if self.queue or kind != "idle":
             self._send()
         elif wake is not None:
             self._wanted = wake
@@ -298,34 +289,25 @@ class Process:
         self._wake = None
         self._send()
 
-    def _apply(self, item: Item) -> None:
-        op, number, verb, data = item
-        if op == "call":
-            try:
-                args = self.values.unpack(data)
-            except CodecError as error:
-                self.answer(number, None, BadValueError(self.name, verb, str(error)))
-            else:
-                self._serve(number, verb, args)
+    def _forget_wake(self) -> None:
+        if self._wake is not None:
+            Scheduler.of(self._loop).cancel(self._wake)
+            self._wake = None
+
+    def _apply(self, item: Item, value: Any, error: BaseException | None) -> None:
+        op, number, verb, _ = item
+        if op == "call" and error is None:
+            self._serve(number, verb, value)
+        elif op == "call":
+            self.answer(number, None, error)
         elif op == "cancel":
-            self._withdraw(number)
-        elif op not in {"done", "fail"}:
-            self.condemn("has sent what is no message")
-        else:
-            end = self._calls.pop(number, None)
+            self.cancel(number)
+        elif op in {"done", "fail"}:
             self._told_to_end.discard(number)
             self.scopes.pop(number, None)
-            value: Any = None
-            failed: BaseException | None = None
-            try:
-                if op == "done":
-                    value = self.values.unpack(data)
-                else:
-                    failed = self.values.unpack_error(data)
-            except CodecError as error:
-                failed = BadValueError(self.name, verb or "answer", str(error))
-            if end is not None:
-                end(value, failed)
+            self.ended(number, value, error)
+        else:
+            self.condemn("has sent what is no message")
 
     # Its end.
 
@@ -339,6 +321,8 @@ class Process:
         what, _, rest = data.partition(b" ")
         if what == b"pid":
             self.pid, self._pidfd = int(rest), files[0]
+            if self._work:  # its time begins when it is there
+                self._hang.start(self._time() + self._stall)
             return
         self._readable()  # what it has done before
         code = int(rest) if what == b"over" else None
@@ -355,7 +339,7 @@ class Process:
     def condemn(self, how: str) -> None:
         """It cannot be used any more, whatever it does."""
         if self.error is None:
-            self._kill()
+            self._signal(signal.SIGKILL)
             self._gone(f"{how}; it was killed", -signal.SIGKILL)
 
     def _gone(self, how: str, code: int | None) -> None:
@@ -369,23 +353,19 @@ class Process:
             self._keeps(error)
         self.error = error
         self._let_go()
-        calls, self._calls = self._calls, {}
-        for end in calls.values():
-            end(None, error.with_traceback(None))
+        self._end_calls(error.with_traceback(None))
         self._died(error)
 
-    def _tape(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Keep its end where a run is kept; in a replay it comes from the tape."""
+    def _on_tape(self) -> Callable[[ProcessDiedError], object] | None:
+        """Return what keeps its end in a recording; in a replay it comes from there."""
         tag, tape = ("call", self.name, "process"), self._door.tape
-        self._keeps: Callable[[ProcessDiedError], object] | None = None
-        if not self._repeats:
-            return
         if isinstance(tape, Player):
             number, _ = tape.first(tag)
             tape.expect(tag, number, self._repeated_end)
         elif tape is not None:
             number = tape.first(tag, First(waits=True, value=None, error=None))
-            self._keeps = lambda error: tape.arrived(tag, (None, error), number=number)
+            return lambda error: tape.arrived(tag, (None, error), number=number)
+        return None
 
     def _repeated_end(self, end: tuple[Any, BaseException | None]) -> None:
         if isinstance(end[1], ProcessDiedError):
@@ -396,20 +376,18 @@ class Process:
             with contextlib.suppress(OSError):
                 signal.pidfd_send_signal(self._pidfd, number)
 
-    def _kill(self) -> None:
-        self._signal(signal.SIGKILL)
-
     def _end_work(self) -> None:
         work, self._work = self._work, 0
         if work:
-            self._door.post(work, self._tag, _nothing)
+            self._door.post(work, self._tag, lambda: None)
 
     def _let_go(self) -> None:
         self._hang.cancel()
-        if self._wake is not None:
-            Scheduler.of(self._loop).cancel(self._wake)
-            self._wake = None
+        self._forget_wake()
         self._end_work()
+        for task in tuple(self.tasks.values()):
+            task.cancel()
+        self.tasks.clear()
         loop = self._loop
         if not loop.is_closed():
             loop.remove_reader(self._wire.fileno())
@@ -422,5 +400,77 @@ class Process:
             self._pidfd = -1
 
 
-def _nothing() -> None:
-    """Come after what was done before."""
+class Words:
+    """Reads the pipe that a child writes to, and logs its lines."""
+
+    def __init__(self, name: str, pipe: int, loop: asyncio.AbstractEventLoop) -> None:
+        self._name = name
+        self._pipe = pipe
+        self._loop = loop
+        self._time = clock_of(loop)
+        self._kept = ""
+        self._begun = b""  # a line that has no end yet
+        self._since, self._count = 0.0, 0
+        self._names: set[str] = set()
+        loop.add_reader(pipe, self._heard)
+
+    def last(self) -> str:
+        """Return what was written last, all that is there."""
+        for _ in range(8):
+            self._heard()
+        return (self._kept + self._begun.decode(errors="replace")).strip()[-KEPT:]
+
+    def close(self) -> None:
+        self._heard()
+        if not self._loop.is_closed():
+            self._loop.remove_reader(self._pipe)
+        os.close(self._pipe)
+
+    def _heard(self) -> None:
+        try:
+            data = os.read(self._pipe, 1 << 14)
+        except BlockingIOError:
+            return
+        if not data:
+            self._loop.remove_reader(self._pipe)
+            return
+        *lines, rest = (self._begun + data).split(b"\n")
+        self._begun = rest[-KEPT:]
+        now = self._time()
+        if now - self._since >= 1.0:
+            self._since, self._count = now, 0
+        room = max(0, LINES - self._count)
+        for line in lines[:room]:
+            self._say(line.decode(errors="replace"))
+        is_first = self._count <= LINES
+        self._count += len(lines)
+        if self._count <= LINES:
+            return
+        if is_first:
+            told = "%s: writes too much; the rest of this second is left out"
+            _log.warning(told, self._name)
+        self._keep(b"\n".join(lines[-KEPT:])[-KEPT:].decode(errors="replace"))
+
+    def _say(self, line: str) -> None:
+        level, name, text = logging.INFO, "esair", f"{self._name}: {line}"
+        if line.startswith(RECORD):
+            with contextlib.suppress(Exception):  # whatever such a line leads to
+                record = json.loads(line[1:])
+                level, name = int(record["level"]), self._logger(record["name"])
+                line = str(record["text"])
+                text = f"{self._name}: {line}" if name == "esair" else line
+        self._keep(line)
+        logging.getLogger(name).log(level, "%s", printable(text))
+
+    def _keep(self, line: str) -> None:
+        self._kept = f"{self._kept}{line}\n"[-KEPT:]
+
+    def _logger(self, name: object) -> str:
+        """Return the name of a logger that a child may use."""
+        found = printable(str(name))[:200]
+        if found in logging.root.manager.loggerDict or found in self._names:
+            return found
+        if len(self._names) >= NAMES:
+            return "esair"
+        self._names.add(found)
+        return found

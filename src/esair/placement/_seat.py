@@ -11,40 +11,27 @@ import asyncio
 import contextvars
 import logging
 import sys
-from collections.abc import Callable, Coroutine, Iterable, Mapping
-from typing import Any, Final, Protocol
+from collections.abc import Callable, Coroutine, Iterable
+from typing import Any, Final
 
-from esair.actions import Behavior, Reaction, Takes
-from esair.exceptions import ProcessDiedError
-from esair.loop import Owner, outside, spawn, turn_of
+from esair.actions import Behavior, Hooks, Reaction, ReactionRunner, StepClock, Takes
+from esair.codec import kinds_of
+from esair.exceptions import BadValueError, ProcessDiedError
+from esair.loop import Deadlines, Job, Owner, Step, outside, spawn, turn_of
 from esair.messages import Placement, placement_of
-from esair.placement._kinds import kinds_of_robot, plain_result
 from esair.placement._nursery import Nursery
-from esair.placement._process import End, Process
-from esair.placement._verbs import (
-    Asked,
-    BehaviorVerbs,
-    PortVerbs,
-    SensorVerbs,
-    StepSeat,
-)
-from esair.placement._wire import CALLS, Item, Values
+from esair.placement._process import Process
+from esair.placement._verbs import Asked, BehaviorVerbs, StepSeat, Verbs, verbs_of
+from esair.placement._wire import ALWAYS, CALLS, End
 from esair.plan import recipe_of
 from esair.resources import Resource
 
+__all__ = ["PlacedRunner", "Seat", "Seats", "StepSeat"]
+
+PATIENCE: Final = 0.2
+"""How long an answer may take if no actuator says by its ``command_timeout``, in s."""
+
 _NOBODY: Final = contextvars.Context()
-
-
-__all__ = ["Seat", "Seats", "StepSeat"]
-
-
-class Verbs(Protocol):
-    """What a child may ask for: what is done at once, and what is waited for."""
-
-    @property
-    def plain(self) -> Mapping[str, Callable[..., Any]]: ...
-    @property
-    def waits(self) -> Mapping[str, Callable[..., Any]]: ...
 
 
 class Seats:
@@ -62,7 +49,7 @@ class Seats:
         seed: object,
         command_timeout: Callable[[str], float | None],
     ) -> None:
-        self.kinds = kinds_of_robot(components)
+        self.kinds = kinds_of(components, ALWAYS)
         self.seed = seed
         self.command_timeout = command_timeout
         self.nursery: Nursery = Nursery.hold()
@@ -107,9 +94,7 @@ class Seat:
         self.lost: int = 0
         """How many of its processes have died."""
         self._seats = seats
-        self._values = Values(self.name, seats.kinds)
         self._owner: Owner | None = None
-        self._tasks: dict[int, asyncio.Task[None]] = {}
         self._before: dict[str, Any] = {}
         self._on_death: Callable[[ProcessDiedError], object] | None = None
         self._verbs: Verbs
@@ -159,9 +144,6 @@ class Seat:
         process, self.process = self.process, None
         if process is not None:
             process.close()
-        for task in tuple(self._tasks.values()):
-            task.cancel()
-        self._tasks.clear()
 
     def begin(
         self, on_death: Callable[[ProcessDiedError], object] | None = None
@@ -169,20 +151,14 @@ class Seat:
         """Begin a process with the component as it was added."""
         self.end()
         self._on_death = on_death
-        component, loop = self.component, asyncio.get_running_loop()
-        if isinstance(component, Behavior):
-            self._verbs = BehaviorVerbs(self, component)
-        elif isinstance(component, Reaction):
-            self._verbs = PortVerbs(self, component)
-        else:
-            self._verbs = SensorVerbs(component)
+        self._verbs = verbs_of(self.component, self)
         process = self.process = Process(
-            self._values,
+            self.name,
+            self._seats.kinds,
             self.placement,
             self._seats.nursery,
-            repeats=isinstance(component, Behavior | Reaction),
+            repeats=isinstance(self.component, Behavior | Reaction),
             serve=self._serve,
-            withdraw=self._withdraw,
             died=self._died,
         )
         settled = {
@@ -190,7 +166,7 @@ class Seat:
             "name": self.name,
             "stream": f"{self._seats.seed}/{self.name}"
             + ("" if not self.lost else f"/{self.lost}"),
-            "stall": self.placement.stall if turn_of(loop).virtual else None,
+            "stall": self.placement.stall if turn_of(self.loop).virtual else None,
             "memory": self.placement.memory,
             "nice": self.placement.nice,
             "level": logging.getLogger().getEffectiveLevel(),
@@ -205,50 +181,53 @@ class Seat:
 
     def decide(self, step: tuple[Any, ...], end: End, number: int = 0) -> None:
         """Have a reaction decide in the child; its decision comes to a function."""
-        assert self.process is not None
-        self.process.call("react", (number, *step), end)
+        self.lives.call("react", (number, *step), end)
 
-    # What its verbs need (`Chair`).
+    # What its verbs need.
 
     def reply(self, op: str, number: int, value: Any) -> None:
         """Tell the child something about a call or a request."""
-        process = self.process
-        if process is not None:
-            process.tell(Item(op, number, "", self._values.pack(op, value)))
+        if self.process is not None:
+            self.process.tell(op, number, data=self.process.pack(op, value))
 
     def spawn(self, coroutine: Coroutine[Any, Any, None], name: str) -> object:
         """Do something in the name of the component."""
-        loop, called = asyncio.get_running_loop(), f"{self.name} {name}"
-        return spawn(loop, coroutine, name=called, owner=self._owner)
+        called = f"{self.name} {name}"
+        return spawn(self.loop, coroutine, name=called, owner=self._owner)
 
     def keep_scope(self) -> int:
         """Keep for whom the code that runs now works; return its number."""
-        assert self.process is not None
-        number = -1 - len(self.process.scopes)
-        self.process.scopes[number] = contextvars.copy_context()
+        scopes = self.lives.scopes
+        number = -1 - len(scopes)
+        scopes[number] = contextvars.copy_context()
         return number
-
-    def unpack_error(self, data: bytes) -> BaseException:
-        return self._values.unpack_error(data)
 
     def command_timeout(self, resource: str) -> float | None:
         return self._seats.command_timeout(resource)
+
+    @property
+    def lives(self) -> Process:
+        """Its process.
+
+        Raises:
+            ProcessDiedError: There is none.
+        """
+        if self.process is None:
+            raise ProcessDiedError(self.name, "is not there")
+        return self.process
 
     # Its methods.
 
     def _method(self, name: str) -> Callable[..., Any]:
         async def method(*args: Any, **options: Any) -> Any:
-            if self.process is None:
-                raise ProcessDiedError(self.name, "is not there")
-            return await self.process.run(name, *args, **options)
+            return await self.lives.run(name, *args, **options)
 
         return method
 
     def _first(self, name: str) -> Callable[..., Any]:
         async def method() -> Any:
             self.begin(self._on_death)
-            assert self.process is not None
-            return await self.process.run(name)
+            return await self.lives.run(name)
 
         return method
 
@@ -268,12 +247,11 @@ class Seat:
 
     def _answers(self, attribute: str) -> Callable[..., Any]:
         async def method(request: Any) -> Any:
-            if self.process is None:
-                raise ProcessDiedError(self.name, "is not there")
+            process = self.lives
             assert isinstance(self._verbs, BehaviorVerbs)
             number = self._verbs.hand(request)
             try:
-                return await self.process.run(
+                return await process.run(
                     "order", attribute, number, request.data, request.sender
                 )
             finally:
@@ -297,8 +275,7 @@ class Seat:
         return given
 
     async def _stream(self) -> Any:
-        process = self.process
-        assert process is not None
+        process = self.lives
         number = await process.run("stream")
         while (value := await process.run("next", number)) is not None:
             yield value[0]
@@ -306,8 +283,7 @@ class Seat:
     # What the child asks for.
 
     def _serve(self, number: int, verb: str, given: Any) -> None:
-        process = self.process
-        assert process is not None
+        process = self.lives
         match given:
             case (int(scope), float(busy), tuple(args), dict(options)) if busy >= 0.0:
                 pass
@@ -323,51 +299,142 @@ class Seat:
                 value = context.run(plain, *args, **options)
             except Exception as error:
                 failed = error
-            process.answer(number, plain_result(value), failed)
+            process.answer(number, value, failed)
             return
         waits = self._verbs.waits.get(verb)
         if verb == "next order":  # what it asks for next it does for that
             context = process.scopes.get(args[0]) if args else None
-        is_known = number in self._tasks
-        if waits is None or context is None or is_known or len(self._tasks) >= CALLS:
+        tasks = process.tasks
+        if waits is None or context is None or number in tasks or len(tasks) >= CALLS:
             process.condemn("has asked for what it cannot have")
             return
         asked = Asked(number, process.lateness(busy))
-        self._tasks[number] = spawn(
-            asyncio.get_running_loop(),
-            self._wait(process, asked, waits, args, options),
+        tasks[number] = spawn(
+            self.loop,
+            process.work(number, waits, asked, *args, **options),
             name=f"{self.name} {verb}",
             owner=self._owner,
             context=context,
         )
 
-    async def _wait(
-        self,
-        process: Process,
-        asked: Asked,
-        function: Callable[..., Any],
-        args: tuple[Any, ...],
-        options: dict[str, Any],
-    ) -> None:
-        number = asked.number
-        value: Any = None
-        failed: BaseException | None = None
-        try:
-            value = await function(asked, *args, **options)
-        except BaseException as error:  # told to the child
-            failed = error
-        if self._tasks.pop(number, None) is not None:
-            process.answer(number, plain_result(value), failed)
-
-    def _withdraw(self, number: int) -> None:
-        task = self._tasks.get(number)
-        if task is not None:
-            task.cancel()
-
     def _died(self, error: ProcessDiedError) -> None:
         self.lost += 1
-        for task in tuple(self._tasks.values()):
-            task.cancel()
-        self._tasks.clear()
         if self._on_death is not None:
             self._on_death(error)
+
+
+class PlacedRunner(ReactionRunner):
+    """Runs one reaction in a child, until it is stopped.
+
+    A step takes effect in the turn in which its answer comes, if what it needs is still
+    there and fresh. One that owes an answer for longer than a command may stand is blind.
+    """
+
+    __slots__ = (
+        "_again",
+        "_answer",
+        "_asks",
+        "_began",
+        "_late_at",
+        "_owes",
+        "_seat",
+        "_taking",
+    )
+
+    def __init__(
+        self,
+        reaction: Reaction,
+        seat: Seat | StepSeat,
+        hooks: Hooks,
+        *,
+        began: float = 0.0,
+        owner: Owner | None = None,
+    ) -> None:
+        self._seat = seat
+        self._owes = self._again = False
+        self._answer: Any = None
+        self._began = 0.0
+        self._asks = StepClock(began)
+        super().__init__(reaction, hooks, began=began, owner=owner)
+        self._react = self._take
+        self._taking: Job = self.scheduler.on_demand(self._decide, name=reaction.name)
+        self._late_at = Deadlines.of(seat.loop).idle(self._owes_for_too_long)
+
+    def start(self, inputs: Any, outputs: Any) -> None:
+        self._seat.sit(self.owner)
+        self._seat.begin(self._died)
+        super().start(inputs, outputs)
+
+    def stop(self) -> None:
+        super().stop()
+        self._taking.stop()
+        self._late_at.cancel()
+        self._seat.end()
+
+    @property
+    def patience(self) -> float:
+        """How long it may owe an answer, in seconds."""
+        all_ = self.outputs.all.values()
+        found = (each.channel.actuator.command_timeout for each in all_)
+        return min((each for each in found if each is not None), default=PATIENCE)
+
+    @property
+    def _turn(self) -> Step:
+        return self._ask
+
+    def _ask(self, now: float) -> None:
+        """Have it decide on the newest readings; one step at a time."""
+        if self._owes:
+            self._again = True
+            return
+        senses = self.senses
+        if not senses.see(now):
+            return
+        if senses.waiting:
+            place, value = senses.waiting.popleft()
+            senses.values[place] = value
+        self._again = False
+        clock = self._asks
+        clock.step(now)
+        step = (list(senses.values), clock.now_ms, clock.elapsed_ms)
+        try:
+            self._seat.decide(step, self._answered)
+        except Exception as error:
+            self.crash(error)
+            return
+        self._owes, self._began = True, now
+        self._late_at.start(now + self.patience)
+
+    def _answered(self, value: Any, error: BaseException | None) -> None:
+        if self.stopped:
+            return
+        self._owes = False
+        self._late_at.cancel()
+        if isinstance(error, ProcessDiedError):
+            return  # told by the death itself
+        if error is not None:
+            self.crash(error)
+        elif self.time() - self._began > self.patience:
+            self.outputs.rejected += 1
+            self.job.soon()
+        else:
+            self._answer = value
+            self._taking.soon()
+
+    def _decide(self, now: float) -> None:
+        self._step(now)
+        self._answer = None
+        if (self._again or self.senses.waiting) and not self.stopped:
+            self.job.soon()
+
+    def _take(self, *_: Any) -> Any:
+        return self._answer
+
+    def _owes_for_too_long(self) -> None:
+        told = f"it owes an answer for {self.patience:g} s"
+        self.park(told)
+        self.flaw = BadValueError(self.reaction.name, "react", told)
+
+    def _died(self, error: ProcessDiedError) -> None:
+        if not self.stopped:
+            self.crash(error)

@@ -4,23 +4,29 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Coroutine, Iterator, Mapping
-from typing import Any, NamedTuple, Protocol
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any, Final, NamedTuple
 
-from esair.actions import Behavior, Reaction
+from esair import minimal
+from esair.actions import Behavior, Reaction, adapt_action
 from esair.exceptions import AccessDeniedError, ConfigError
 from esair.loop import clock_of, wake
 from esair.messages import Access, Refused
-from esair.placement._recipe import loaded
+from esair.placement._wire import End, make
+from esair.plan import SCRIPT
 from esair.values import check_duration
 
+Seat = Any  # that of its component: it makes these, and they know of it what they call
+
+SCRIPT_OF_CHILD: Final = "__mp_main__"
+"""What the script is in a child, as `multiprocessing` calls it."""
+
+_ACTIONS = (Behavior, Reaction, minimal.Reaction)
 _PORT_WAITS = {"read", "reading", "write", "configure", "operate"}
 _PORT_PLAIN = {"history", "why", "release", "newest", "settings", "state", "max_age"}
 _MANAGED = {"add", "remove", "replace", "restart", "switch"}
 _ORDER = {"answer", "refuse", "progress", "cancelled"}
-
-Call = Callable[..., Any]
-End = Callable[[Any, BaseException | None], object]
 
 
 class Asked(NamedTuple):
@@ -35,15 +41,28 @@ class Asked(NamedTuple):
     age: float
 
 
-class Chair(Protocol):
-    """The seat, as far as these need it."""
+def loaded(recipe: Any) -> Any:
+    """Make an action that a child names, in the robot's process.
 
-    def reply(self, op: str, number: int, value: Any) -> None: ...
-    def spawn(self, coroutine: Coroutine[Any, Any, None], name: str) -> object: ...
-    def keep_scope(self) -> int: ...
-    def unpack_error(self, data: bytes) -> BaseException: ...
-    def command_timeout(self, resource: str) -> float | None: ...
-    def decide(self, step: tuple[Any, ...], end: End, number: int) -> None: ...
+    Of a class that is loaded there, and is one of an action: nothing is imported for it,
+    and nothing but its own constructor is called.
+
+    Raises:
+        ConfigError: No class of an action is loaded by this name.
+    """
+    match recipe:
+        case {"module": str(module), "class": str(path), "args": tuple(), **rest}:
+            found: Any = sys.modules.get(
+                SCRIPT if module == SCRIPT_OF_CHILD else module
+            )
+            for part in path.split("."):
+                found = getattr(found, "__dict__", {}).get(part)
+            if isinstance(found, type) and issubclass(found, _ACTIONS):
+                return adapt_action(make(recipe, found))
+            told = f"the robot has no class of an action loaded as {module}:{path}"
+            told += ": define it at the top of a module that the robot imports"
+            raise ConfigError(str(rest.get("name")), "", told)
+    raise ConfigError("behaviors", "", f"expected an action, not {recipe!r:.80}")
 
 
 class StepSeat:
@@ -52,8 +71,8 @@ class StepSeat:
     What the child answers is what the step has decided, and whether it is over.
     """
 
-    def __init__(self, chair: Chair, number: int) -> None:
-        self._chair = chair
+    def __init__(self, seat: Seat, number: int) -> None:
+        self._seat = seat
         self._number = number
         self._over = False
 
@@ -80,31 +99,44 @@ class StepSeat:
                 value, self._over = value
             end(value, error)
 
-        self._chair.decide(step, decided, self._number)
+        self._seat.decide(step, decided, self._number)
 
 
-class SensorVerbs:
-    """What a driver may say beside its answers."""
+class Verbs:
+    """What a child may ask for, by name.
 
-    def __init__(self, sensor: Any) -> None:
-        self.plain: Mapping[str, Call] = {
-            "lost": sensor.report_lost,
-            "arrived": sensor.report_arrived,
-        }
-        self.waits: Mapping[str, Call] = {}
+    Attributes:
+        plain: What is done at once.
+        waits: What is waited for; it gets what is known of the call first.
+    """
+
+    def __init__(self) -> None:
+        self.plain: dict[str, Callable[..., Any]] = {}
+        self.waits: dict[str, Callable[..., Any]] = {}
 
 
-class PortVerbs:
+def verbs_of(component: Any, seat: Seat) -> Verbs:
+    """Return what the child of a component may ask for."""
+    if isinstance(component, Behavior):
+        return BehaviorVerbs(seat, component)
+    if isinstance(component, Reaction):
+        return PortVerbs(seat, component)
+    verbs = Verbs()  # what a driver says beside its answers
+    verbs.plain |= {"lost": component.report_lost, "arrived": component.report_arrived}
+    return verbs
+
+
+class PortVerbs(Verbs):
     """What a reaction may ask of its ports."""
 
-    def __init__(self, chair: Chair, action: Behavior | Reaction) -> None:
-        self._chair = chair
+    def __init__(self, seat: Seat, action: Behavior | Reaction) -> None:
+        super().__init__()
+        self._seat = seat
         self._action = action
         self._actions: dict[str, Behavior | Reaction] = {"": action}
         """It, and the steps that it performs now, by what their ports begin with."""
         self._registered: dict[str, Any] = {}
-        self.plain: Mapping[str, Call] = {"peek": self._peek}
-        self.waits: Mapping[str, Call] = {}
+        self.plain["peek"] = self._peek
 
     def _find(self, key: str, name: str, allowed: set[str]) -> Any:
         port = self._registered.get(key)
@@ -129,8 +161,8 @@ class PortVerbs:
 class BehaviorVerbs(PortVerbs):
     """What a behavior may ask: of its ports, of its supervisor, and of others."""
 
-    def __init__(self, chair: Chair, behavior: Behavior) -> None:
-        super().__init__(chair, behavior)
+    def __init__(self, seat: Seat, behavior: Behavior) -> None:
+        super().__init__(seat, behavior)
         self._behavior = behavior
         self._streams: dict[int, Any] = {}
         self._loops: dict[int, tuple[Any, int]] = {}
@@ -141,8 +173,7 @@ class BehaviorVerbs(PortVerbs):
         self.orders: dict[int, Any] = {}
         """The requests that the child works on, by their number."""
         self._left: dict[int, asyncio.Future[BaseException | None]] = {}
-        self.plain = {
-            "peek": self._peek,
+        self.plain |= {
             # Not its own: that of a thread's behavior waits for a thread, in the child.
             "offer": lambda *args, **options: Behavior.offer(
                 behavior, *args, **options
@@ -154,7 +185,7 @@ class BehaviorVerbs(PortVerbs):
             "enter": self._enter,
             "leave": self._leave,
         }
-        self.waits = {
+        self.waits |= {
             "port": self._port,
             "put": lambda _, *args: Behavior.put(behavior, *args),
             "get": lambda _, *args: Behavior.get(behavior, *args),
@@ -164,7 +195,7 @@ class BehaviorVerbs(PortVerbs):
             "perform": self._perform,
             "step": self._step,
             "manage": self._manage,
-            "stop": lambda _, reason: Behavior.stop_robot(behavior, reason),
+            "stop": self._stop,
             "halted": self._halted,
             "values": self._values,
             "next": lambda _, number: anext(self._streams[number]),
@@ -184,7 +215,7 @@ class BehaviorVerbs(PortVerbs):
     ) -> Any:
         port = self._find(key, name, _PORT_WAITS)
         if name == "write":
-            limit = self._chair.command_timeout(port.resource)
+            limit = self._seat.command_timeout(port.resource)
             if limit is not None and asked.age > limit:
                 now = clock_of(asyncio.get_running_loop())()
                 rule = f"the command is {asked.age:.3g} s old: command_timeout is {limit:g} s"
@@ -219,7 +250,7 @@ class BehaviorVerbs(PortVerbs):
         if not isinstance(reaction, Reaction) or reaction.guarded is not None:
             told = "a guard stays in the robot's process, and so does who performs it"
             raise ConfigError(reaction.name, "placement", told)
-        seat = StepSeat(self._chair, asked.number)
+        seat = StepSeat(self._seat, asked.number)
         until = seat.is_over if ends else None
         with self._performed(asked, reaction):
             host = vars(self._behavior)["_host"]
@@ -233,7 +264,7 @@ class BehaviorVerbs(PortVerbs):
         is_set_up, is_over = stages = loop.create_future(), loop.create_future()
 
         async def setup() -> None:
-            self._chair.reply("news", asked.number, None)
+            self._seat.reply("news", asked.number, None)
             await is_set_up
 
         async def run() -> None:
@@ -276,7 +307,7 @@ class BehaviorVerbs(PortVerbs):
         self, asked: Asked, receiver: str, request: Any, timeout: Any, progress: bool
     ) -> Any:
         def tell(news: Any) -> None:
-            self._chair.reply("news", asked.number, news)
+            self._seat.reply("news", asked.number, news)
 
         return await Behavior.ask(
             self._behavior,
@@ -299,7 +330,11 @@ class BehaviorVerbs(PortVerbs):
         self._halting = self._behavior.halt_robot(reason)
 
     async def _halted(self, _: Asked) -> Any:
-        return await self._halting
+        return tuple(await self._halting)
+
+    async def _stop(self, _: Asked, reason: str) -> Any:
+        stopped = await Behavior.stop_robot(self._behavior, reason)
+        return tuple(stopped), stopped.reason
 
     # Requests.
 
@@ -319,7 +354,7 @@ class BehaviorVerbs(PortVerbs):
     def _enter(self, number: int) -> None:
         loop = asyncio.get_running_loop()
         self._left[number] = loop.create_future()
-        self._chair.spawn(self._attend(number, self.orders[number]), "request")
+        self._seat.spawn(self._attend(number, self.orders[number]), "request")
 
     async def _attend(self, number: int, request: Any) -> None:
         """Be the one who works on a request, for the child."""
@@ -331,7 +366,7 @@ class BehaviorVerbs(PortVerbs):
                 except asyncio.CancelledError:
                     loop = asyncio.get_running_loop()
                     left = self._left[number] = loop.create_future()
-                    self._chair.reply("withdrawn", number, None)
+                    self._seat.reply("withdrawn", number, None)
                     await left
                     raise
                 if error is not None:
@@ -343,16 +378,18 @@ class BehaviorVerbs(PortVerbs):
     def _leave(self, number: int, error: bytes | None) -> None:
         left = self._left.pop(number, None)
         if left is not None and not left.done():
-            left.set_result(None if error is None else self._chair.unpack_error(error))
+            left.set_result(
+                None if error is None else self._seat.lives.unpack_error(error)
+            )
 
     async def _loop(self, _: Asked, attribute: str) -> int:
         if attribute not in self._behavior.takes:
             raise AccessDeniedError(
                 self._behavior.name, attribute, "take", "not declared"
             )
-        number = self._chair.keep_scope()
+        number = self._seat.keep_scope()
         self._loops[number] = aiter(vars(self._behavior)[attribute]), 0
-        return number
+        return int(number)
 
     async def _next_order(self, _: Asked, number: int) -> tuple[int, Any, str]:
         loop, before = self._loops[number]

@@ -2,6 +2,7 @@
 
 A message is a list of items, coded by `esair.codec`. What does not fit into a packet goes
 as a file in memory beside it, so that no message is sent in part and nobody waits for room.
+Both sides call, answer and cancel in the same way (`Exchange`).
 """
 
 from __future__ import annotations
@@ -11,11 +12,19 @@ import contextlib
 import fcntl
 import os
 import socket
-from collections.abc import Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from typing import Any, Final, NamedTuple
 
+from esair import messages
 from esair.codec import LIMIT, CodecError, Kinds, decode, encode
-from esair.exceptions import BadValueError, EsairError, describe, told_traceback
+from esair.connections import LastCommand
+from esair.exceptions import (
+    BadValueError,
+    BusyError,
+    EsairError,
+    describe,
+    told_traceback,
+)
 from esair.loop import raisable
 
 CALLS: Final = 64
@@ -27,14 +36,26 @@ ITEMS: Final = 16 * CALLS
 PACKET: Final = 1 << 16
 """What is larger goes as a file in memory, in bytes."""
 
-MESSAGE: Final = 8 * LIMIT
-"""How many bytes all values of one message may have."""
+MESSAGE: Final = LIMIT
+"""How many bytes all values of one message may have: its reader works so long at once."""
 
 NOTE: Final = 4000
 """How many characters of a traceback cross with an error."""
 
+RECORD: Final = "\x1e"
+"""What a line begins with that is a record of the log."""
+
+ALWAYS: Final = [
+    *(each for each in vars(messages).values() if isinstance(each, type)),
+    LastCommand,
+]
+"""The classes that cross whatever a component declares."""
+
 _FILE: Final = b"\0"
 _PLAIN: Final = Kinds()
+
+End = Callable[[Any, BaseException | None], object]
+"""What is called with the value or the error of a call."""
 
 
 class Item(NamedTuple):
@@ -126,8 +147,8 @@ def _contents(file: int) -> bytes:
     return os.pread(file, size, 0)
 
 
-class Values:
-    """How the values of one component are coded.
+class Exchange:
+    """The calls of one side, and what it does for those of the other.
 
     Args:
         name: Of the component, for errors.
@@ -137,6 +158,91 @@ class Values:
     def __init__(self, name: str, kinds: Kinds) -> None:
         self.name = name
         self.kinds = kinds
+        self.queue: list[Item] = []
+        """What the other side is told next."""
+        self.calls: dict[int, End] = {}
+        """What hears of the ends of the own calls, by their number."""
+        self.newest = 0
+        """The number of the newest own call."""
+        self.tasks: dict[int, asyncio.Task[None]] = {}
+        """What works on calls of the other side, by their number."""
+
+    def ask(self, verb: str, asked: Any, end: End) -> int:
+        """Call the other side; return the number of the call.
+
+        Raises:
+            BadValueError: What is asked cannot cross.
+            BusyError: Too many calls are in flight.
+        """
+        if len(self.calls) >= CALLS:
+            raise BusyError(self.name, "number of calls between its processes", CALLS)
+        data = self.pack(verb, asked)
+        self.newest += 1
+        self.calls[self.newest] = end
+        self.tell("call", self.newest, verb, data)
+        return self.newest
+
+    def tell(self, op: str, number: int, verb: str = "", data: bytes = b"") -> None:
+        """Tell the other side something with the next message."""
+        self.queue.append(Item(op, number, verb, data))
+
+    def answer(self, number: int, value: Any, error: BaseException | None) -> None:
+        """Tell the other side the end of its call."""
+        if error is None:
+            try:
+                self.tell("done", number, data=self.pack("answer", value))
+                return
+            except Exception as unfit:
+                error = unfit
+        self.tell("fail", number, data=self.pack_error(error))
+
+    async def work(
+        self,
+        number: int,
+        function: Callable[..., Awaitable[Any]],
+        *args: Any,
+        **options: Any,
+    ) -> None:
+        """Be the task that works on a call of the other side."""
+        value: Any = None
+        failed: BaseException | None = None
+        try:
+            value = await function(*args, **options)
+        except BaseException as error:  # told to the other side
+            failed = error
+        if self.tasks.pop(number, None) is not None:
+            self.answer(number, value, failed)
+
+    def cancel(self, number: int) -> None:
+        """End the work on a call, whose end tells so."""
+        if (task := self.tasks.get(number)) is not None:
+            task.cancel()
+
+    def opened(self, item: Item) -> tuple[Any, BaseException | None]:
+        """Return the value of an item, or the error that it is, or why it is none."""
+        try:
+            if item.op == "fail":
+                return None, self.unpack_error(item.data)
+            return self.unpack(item.data) if item.data else None, None
+        except CodecError as error:
+            return None, BadValueError(self.name, item.verb or "answer", str(error))
+
+    def ended(self, number: int, value: Any, error: BaseException | None) -> None:
+        """Take the end of a call of its own."""
+        if (end := self.calls.pop(number, None)) is not None:
+            end(value, error)
+
+    def message(self) -> list[Item]:
+        """Take of the queue what goes into one message; the rest goes later."""
+        size = count = 0
+        for each in self.queue[:ITEMS]:
+            size += len(each.data)
+            if count and size > MESSAGE:
+                break
+            count += 1
+        taken = self.queue[:count]
+        del self.queue[:count]
+        return taken
 
     def pack(self, verb: str, value: Any) -> bytes:
         """Return a value as bytes.
@@ -150,6 +256,9 @@ class Values:
             what = f"between processes {error}"
             raise BadValueError(self.name, verb, what) from None
 
+    def unpack(self, data: bytes) -> Any:
+        return decode(data, self.kinds)
+
     def pack_error(self, error: BaseException) -> bytes:
         """Return an error, and where it was raised, as bytes."""
         is_plain = isinstance(error, EsairError | asyncio.CancelledError)
@@ -160,9 +269,6 @@ class Values:
         except CodecError:  # what it holds is no plain data
             return encode((RuntimeError(describe(error)), where), self.kinds)
 
-    def unpack(self, data: bytes) -> Any:
-        return decode(data, self.kinds)
-
     def unpack_error(self, data: bytes) -> BaseException:
         """Return an error; where it was raised is a note of it."""
         match decode(data, self.kinds):
@@ -171,3 +277,28 @@ class Values:
                     error.add_note(f"in the process of {self.name}:\n{where}")
                 return error
         raise CodecError("it is no error")
+
+
+def settle(future: asyncio.Future[Any]) -> End:
+    """Return what lets a call's end be that of a future."""
+
+    def end(value: Any, error: BaseException | None) -> None:
+        if future.done():
+            return
+        if error is None:
+            future.set_result(value)
+        elif isinstance(error, asyncio.CancelledError):
+            future.cancel()
+        else:
+            future.set_exception(error)
+
+    return end
+
+
+def make(recipe: dict[str, Any], kind: Any) -> Any:
+    """Make a component of its class, and what that is given."""
+    if recipe["options"] is None:  # of ESAIR MIN, whose classes keep what they get
+        made = kind.__new__(kind)
+        vars(made).update(recipe["fields"])
+        return made
+    return kind(*recipe["args"], **recipe["options"])

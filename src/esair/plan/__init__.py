@@ -10,7 +10,8 @@ file, from a script, and for each component that comes into a running one::
 A new rule goes into the file of its subject, and is asked in ``_examine.py``.
 """
 
-from esair.plan._declarations import SCRIPT, inner_of, recipe_of, unplaceable
+from esair.codec import inner_of
+from esair.plan._declarations import SCRIPT, recipe_of, unplaceable
 from esair.plan._examine import (
     examine,
     examine_action,

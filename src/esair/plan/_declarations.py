@@ -28,7 +28,7 @@ from esair.actions import (
     declared_requests,
     is_request,
 )
-from esair.codec import CodecError, Kinds, declared, encode
+from esair.codec import CodecError, Kinds, declared, encode, inner_of
 from esair.connections import CommandCheck, limits_by_field, part_of
 from esair.exceptions import BadValueError, ConfigError
 from esair.messages import Reading, Restart, placement_of
@@ -470,12 +470,6 @@ def unplaceable(component: Any) -> Iterator[Finding]:
     if found is not None:
         field, wrong, advice = found
         yield mistake("placement", component, field, wrong, advice)
-
-
-def inner_of(component: Any) -> Any:
-    """Return what the user has written: a class of ESAIR MIN is in an adapter."""
-    inner = vars(component).get("reaction", vars(component).get("device"))
-    return component if inner is None else inner
 
 
 def recipe_of(component: Any) -> dict[str, Any]:

@@ -9,9 +9,10 @@ from esair.recording._plain import fields_of, plain, schema_of
 from esair.recording._reading import Gaps, Recorded, chunks_of, events_of, facts_of
 from esair.recording._recorder import Recorder, facts_about
 from esair.recording._recover import Recovered, is_whole, recover, replaced
-from esair.recording._turns import Kept, kinds_of
+from esair.recording._turns import GIVEN, Kept
 
 __all__ = [
+    "GIVEN",
     "Gaps",
     "Kept",
     "Recorded",
@@ -25,7 +26,6 @@ __all__ = [
     "facts_of",
     "fields_of",
     "is_whole",
-    "kinds_of",
     "plain",
     "recover",
     "replaced",

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from esair.codec import kinds_of
 from esair.exceptions import RecordingError, describe
 from esair.journal import Event, Journal
 from esair.loop import TapeWriter
@@ -25,7 +26,7 @@ from esair.recording._messages import seen_as, size_of
 from esair.recording._plain import plain
 from esair.recording._reading import TURNS
 from esair.recording._recover import left_cut
-from esair.recording._turns import HELD, TOPIC, Turns, bulk_of, kinds_of
+from esair.recording._turns import GIVEN, HELD, TOPIC, Turns, bulk_of
 
 BACKLOG = 65_536
 """How many events may wait to be written; those that come then are dropped, and counted.
@@ -127,7 +128,7 @@ class Recorder:
 
     def keep_turns(self) -> TapeWriter:
         """Return what the event loop writes its turns on, for an exact replay."""
-        self._turns = Turns(kinds_of(self._components))
+        self._turns = Turns(kinds_of(self._components, GIVEN))
         return self._turns.tape
 
     def note(self, name: str, facts: dict[str, str]) -> None:

@@ -11,11 +11,11 @@ import collections
 import itertools
 import logging
 import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from esair.codec import CodecError, Kinds, declared, decode, encode
+from esair.codec import CodecError, Kinds, decode, encode
 from esair.exceptions import RecordingBrokenError
 from esair.loop import SPOILED, CallRefused, First, Tag, TapeWriter
 from esair.messages import Reading, Stamped, StampedReading
@@ -43,36 +43,12 @@ _first = struct.Struct("<BHI")
 _waits = struct.Struct("<BH")
 _number = struct.Struct("<I")
 
+GIVEN: Final = (Reading, StampedReading, Stamped, CallRefused)
+"""The classes of what comes in whatever a robot's components declare."""
+
 _WAITED: Final = First(waits=True, value=None, error=None)
 
 _log = logging.getLogger("esair")
-
-
-def kinds_of(components: Callable[[], Iterable[Any]], **options: bool) -> Kinds:
-    """Return the classes that a robot's components declare, those added later too.
-
-    Args:
-        components: Returns the components that there are, or their classes.
-        **options: Those of `Kinds`.
-    """
-    seen: set[type] = set()
-
-    def add(kinds: Kinds) -> None:
-        for each in list(components()):
-            inner = getattr(each, "reaction", each)
-            kind = inner if isinstance(inner, type) else type(inner)
-            if kind in seen:
-                continue
-            seen.add(kind)
-            kinds.programs.append(kind.__module__)
-            for found in declared(kind):
-                kinds.add(found)
-            kinds.add(getattr(inner, "value_type", None))
-
-    always = [Reading, StampedReading, Stamped, CallRefused]
-    kinds = Kinds(always, more=add, **options)
-    add(kinds)
-    return kinds
 
 
 class Turns:

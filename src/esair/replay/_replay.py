@@ -13,10 +13,10 @@ from typing import Any
 
 import attrs
 
-from esair.codec import Kinds
+from esair.codec import Kinds, kinds_of
 from esair.exceptions import RecordingBrokenError, describe
 from esair.loop import Player, TurnLoop, run_and_end
-from esair.recording import Kept, chunks_of, events_of, facts_of, kinds_of
+from esair.recording import GIVEN, Kept, chunks_of, events_of, facts_of
 from esair.replay._compare import Comparison, Divergence, Span
 from esair.standard import (
     FORMAT,
@@ -152,7 +152,7 @@ class Replay:
         span: Span
         chunks: Generator[bytes, None, None] | _Events
         if loop is None:
-            kinds = kinds_of(lambda: components_of(robot))
+            kinds = kinds_of(lambda: components_of(robot), GIVEN)
             chunks = chunks_of(self.path)
             kept = Kept(self.path, chunks, kinds, whole="end" in self.facts)
             span = player = Player(kept, read=kept.read)

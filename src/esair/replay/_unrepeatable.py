@@ -27,69 +27,37 @@ _FILE = "a file: a replay reads what is in it then"
 _NETWORK = "the network; what comes in that way should come from a sensor"
 _THREAD = "a thread or process of its own, which nobody orders"
 
-_CALLS = {
-    "_thread.start_new_thread": _THREAD,
-    "asyncio.create_subprocess_exec": _THREAD,
-    "asyncio.create_subprocess_shell": _THREAD,
-    "asyncio.open_connection": _NETWORK,
-    "asyncio.start_server": _NETWORK,
-    "concurrent.futures": _THREAD,
-    "datetime.date.today": _CLOCK,
-    "datetime.datetime.now": _CLOCK,
-    "datetime.datetime.today": _CLOCK,
-    "datetime.datetime.utcnow": _CLOCK,
-    "aiohttp": _NETWORK,
-    "glob": _FILE,
-    "http.client": _NETWORK,
-    "httpx": _NETWORK,
-    "io.open": _FILE,
-    "multiprocessing": _THREAD,
-    "numpy.random": _RANDOM,
-    "os.fork": _THREAD,
-    "os.getrandom": _RANDOM,
-    "os.listdir": _FILE,
-    "os.open": _FILE,
-    "os.path.exists": _FILE,
-    "os.path.getmtime": _FILE,
-    "os.path.getsize": _FILE,
-    "os.path.isdir": _FILE,
-    "os.path.isfile": _FILE,
-    "os.popen": _THREAD,
-    "os.scandir": _FILE,
-    "os.stat": _FILE,
-    "os.system": _THREAD,
-    "os.urandom": _RANDOM,
-    "os.walk": _FILE,
-    "pathlib.Path": _FILE,
-    "random": _RANDOM,
-    "requests": _NETWORK,
-    "secrets": _RANDOM,
-    "shutil": _FILE,
-    "socket": _NETWORK,
-    "sqlite3": _FILE,
-    "subprocess": _THREAD,
-    "tempfile": _FILE,
-    "threading.Thread": _THREAD,
-    "threading.Timer": _THREAD,
-    "time.clock_gettime": _CLOCK,
-    "time.clock_gettime_ns": _CLOCK,
-    "time.ctime": _CLOCK,
-    "time.gmtime": _CLOCK,
-    "time.localtime": _CLOCK,
-    "time.monotonic": _CLOCK,
-    "time.monotonic_ns": _CLOCK,
-    "time.perf_counter": _CLOCK,
-    "time.perf_counter_ns": _CLOCK,
-    "time.process_time": _CLOCK,
-    "time.process_time_ns": _CLOCK,
-    "time.strftime": _CLOCK,
-    "time.thread_time": _CLOCK,
-    "time.thread_time_ns": _CLOCK,
-    "time.time": _CLOCK,
-    "time.time_ns": _CLOCK,
-    "urllib": _NETWORK,
-    "uuid.uuid1": _RANDOM,
-    "uuid.uuid4": _RANDOM,
+_CALLS: Final = {
+    name: why
+    for why, names in {
+        _CLOCK: """
+            datetime.date.today datetime.datetime.now datetime.datetime.today
+            datetime.datetime.utcnow time.clock_gettime time.clock_gettime_ns
+            time.ctime time.gmtime time.localtime time.monotonic time.monotonic_ns
+            time.perf_counter time.perf_counter_ns time.process_time
+            time.process_time_ns time.strftime time.thread_time time.thread_time_ns
+            time.time time.time_ns
+        """,
+        _RANDOM: """
+            numpy.random os.getrandom os.urandom random secrets uuid.uuid1
+            uuid.uuid4
+        """,
+        _FILE: """
+            glob io.open os.listdir os.open os.path.exists os.path.getmtime
+            os.path.getsize os.path.isdir os.path.isfile os.scandir os.stat os.walk
+            pathlib.Path shutil sqlite3 tempfile
+        """,
+        _NETWORK: """
+            aiohttp asyncio.open_connection asyncio.start_server http.client httpx
+            requests socket urllib
+        """,
+        _THREAD: """
+            _thread.start_new_thread asyncio.create_subprocess_exec
+            asyncio.create_subprocess_shell concurrent.futures multiprocessing
+            os.fork os.popen os.system subprocess threading.Thread threading.Timer
+        """,
+    }.items()
+    for name in names.split()
 }
 
 _REPEATS_WITH = {

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from esair import abc
+from esair.codec import kinds_of
 from esair.connections import is_loss
 from esair.exceptions import (
     ConfigError,
@@ -22,12 +23,12 @@ from esair.journal import Kind
 from esair.loop import First
 from esair.messages import Stamped
 from esair.recording import (
+    GIVEN,
     Kept,
     Recorded,
     chunks_of,
     events_of,
     facts_of,
-    kinds_of,
     plain,
 )
 from esair.testing._fakes import FakeSensor
@@ -226,7 +227,7 @@ def _given(
     found: dict[str, list[tuple[float, Any, BaseException | None]]] = {}
     if "replay" not in facts_of(path) or next(chunks_of(path), None) is None:
         return found
-    kept = Kept(path, chunks_of(path), kinds_of(_components, strangers=True))
+    kept = Kept(path, chunks_of(path), kinds_of(_components, GIVEN, strangers=True))
     now = 0.0
     for item in kept:
         if type(item) is float:
