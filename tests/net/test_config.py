@@ -229,14 +229,14 @@ async def test_two_files_are_two_robots(files: Files) -> None:
         parts = sys.modules[files.module]
         assert parts.Wheels.told[-1] == parts.Twist(0.1 * 0.7, 0.0)
         assert base.resources.why("wheels").holder == "rover"
-        await asyncio.sleep(0.6)
         loop = asyncio.get_running_loop()
-        (told,) = of_status(Status(base, loop).picture())
-        assert (told["name"], told["state"], told["holds"]) == (
-            "rover",
-            "ready",
-            ["wheels"],
-        )
+        for _ in range(100):  # what it holds lapses now and then on a busy computer
+            await asyncio.sleep(0.1)
+            (told,) = of_status(Status(base, loop).picture())
+            if told["holds"]:
+                break
+        assert (told["name"], told["state"]) == ("rover", "ready")
+        assert told["holds"] == ["wheels"]
         (told,) = of_status(Status(rover, loop).picture())
         assert told["used"] == ["sonar: ready", "wheels: ready"]
         assert 0.0 <= told["round_trip"] < 0.5

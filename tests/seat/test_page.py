@@ -537,6 +537,8 @@ async def test_with_a_certificate_nothing_is_said_in_the_clear(served, certifica
 def chromium():
     """A Chromium without a window, if there is one."""
     webdriver = pytest.importorskip("selenium.webdriver", reason="pip install '.[ci]'")
+    from selenium.common.exceptions import WebDriverException
+
     driver, browser = shutil.which("chromedriver"), shutil.which("chromium")
     if driver is None or browser is None:
         pytest.skip("chromium and chromium-driver are not installed")
@@ -547,6 +549,12 @@ def chromium():
     service = webdriver.ChromeService(executable_path=driver)
     found = webdriver.Chrome(options=options, service=service, keep_alive=False)
     found.service.process.stdin.close()  # else it is a descriptor left behind
+    try:
+        found.get("data:text/html,<h1>it works</h1>")
+        assert found.find_element("css selector", "h1").text == "it works"
+    except WebDriverException as error:
+        found.quit()
+        pytest.skip(f"this Chromium and its driver fail at any page: {error.msg}")
     yield found
     found.quit()
 
