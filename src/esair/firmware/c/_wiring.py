@@ -14,8 +14,7 @@ import attrs
 
 from esair import actions, minimal
 from esair.firmware.c._functions import Functions
-from esair.firmware.c._scope import Value
-from esair.firmware.c._types import (
+from esair.firmware.c._scope import (
     BOOL,
     INT,
     NONE,
@@ -23,6 +22,7 @@ from esair.firmware.c._types import (
     RefusedError,
     Type,
     Types,
+    Value,
     equal,
     in_c,
 )
