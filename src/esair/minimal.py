@@ -23,27 +23,41 @@ No memory is allocated in the steady state. What is wrong with the parts is foun
 there is room for it: by ``esair min build``.
 """
 
-# ruff: noqa: A002, B905, UP031, UP037
+# ruff: noqa: A002, B905, SLF001, UP031, UP037
 # MicroPython knows less of the language: what is newer is not used here.
 
-import time
+# MicroPython's compiler knows the word `const`: it takes the number itself, and leaves
+# out what is never run. So what only a computer needs takes no memory of a board.
+const: "Any" = str
+_COMPUTER = const(0)
+if _COMPUTER:
+    const = int
+    TYPE_CHECKING = False
+    if TYPE_CHECKING:
+        from collections.abc import Callable, Generator, Iterable
+        from typing import Any, Literal
 
-const = int  # MicroPython's compiler knows the word, and leaves out what is never run
-TYPE_CHECKING = const(0)
-if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable
-    from typing import Any, Literal
-
-_ENDS = (-float("inf"), float("inf"))
+_ENDS = (-1e999, 1e999)  # infinite
 _ROWS = (tuple, list)
 
-# Moments are whole milliseconds that wrap, on boards at this or a multiple of it.
-_MASK = const(0x3FFFFFFF)
-_HALF = const(0x20000000)
+# Moments are whole milliseconds since the start, less the "days" that are over: for
+# greater numbers a board takes memory from its heap. Its clock wraps at four days.
+_DAY = const(0x10000000)
+_MASK = const(0xFFFFFFF)
+_LONGEST = const(0x100000)  # period
 _NEVER = const(-0x20000001)
 
-_ticks = getattr(time, "ticks_ms", None) or (lambda: time.monotonic_ns() // 1000000)
-_sleep = getattr(time, "sleep_ms", None) or (lambda value: time.sleep(value / 1000))
+if _COMPUTER:
+    import time
+
+    def _ticks() -> int:
+        return time.monotonic_ns() // 1000000
+
+    def _sleep(value: int) -> None:
+        time.sleep(value / 1000)
+
+else:
+    from time import sleep_ms as _sleep, ticks_ms as _ticks  # type: ignore # noqa: I001, PGH003
 
 
 class Need:
@@ -60,9 +74,6 @@ class Need:
     blind: "Literal['safe', 'release']"
     latch: bool
 
-    def __init__(self, type: "Any", name: "str | None", configure: bool) -> None:
-        self.type, self.name, self.configure = type, name, configure
-
 
 def reads(
     type: "Any" = None,
@@ -73,8 +84,10 @@ def reads(
     configure: bool = False,
 ) -> Need:
     """Declare, as a class attribute, that a reaction reads a sensor; as `esair.reads`."""
-    need = Need(type, name, configure)
-    need.max_age, need.every, need.optional = max_age, every, optional
+    need = Need()
+    need.name, need.max_age, need.optional = name, max_age, optional
+    if _COMPUTER:
+        need.type, need.every, need.configure = type, every, configure
     return need
 
 
@@ -87,8 +100,11 @@ def writes(
     configure: bool = False,
 ) -> Need:
     """Declare that a reaction writes an actuator; as `esair.writes`."""
-    need = Need(type, name, configure)
-    need.priority, need.hold, need.blind = priority, hold, blind
+    need = Need()
+    need.name, need.priority = name, priority
+    need.hold, need.blind = hold, blind
+    if _COMPUTER:
+        need.type, need.configure = type, configure
     return need
 
 
@@ -99,8 +115,10 @@ def guards(
     latch: bool = False,
 ) -> Need:
     """Declare that every command for an actuator passes a reaction; as `esair.guards`."""
-    need = Need(type, name, False)
-    need.priority, need.latch = priority, latch
+    need = Need()
+    need.name, need.priority, need.latch = name, priority, latch
+    if _COMPUTER:
+        need.type, need.configure = type, False
     return need
 
 
@@ -108,6 +126,7 @@ class _Part:
     """Something with a name."""
 
     name: str = ""
+    rate: "float | None" = None
 
     def __init__(self, name: "str | None" = None) -> None:
         self.name = name or self.name
@@ -116,8 +135,13 @@ class _Part:
     def open(self) -> None:
         """Make a device ready. What it raises ends the program, at its start."""
 
-    def close(self) -> None:
-        """Let a device go."""
+    if _COMPUTER:
+
+        def close(self) -> None:
+            """Let a device go."""
+
+    else:
+        close = open  # noqa: A003
 
 
 class Sensor(_Part):
@@ -127,7 +151,7 @@ class Sensor(_Part):
         name: Its name; the class name in snake case unless given.
     """
 
-    rate: "float | None" = None
+    rate: "float | None"
     """How often it is read, in Hz; None for every step of the loop."""
 
     def read(self) -> "Any":
@@ -170,14 +194,19 @@ class Reaction(_Part):
         name: Its name; the class name in snake case unless given.
     """
 
-    rate: "float | None" = None
+    rate: "float | None"
     """How often it runs, in Hz; None to run on every new reading."""
 
-    now_ms: int = 0
-    """The moment of this step, in whole milliseconds since the robot started."""
+    now_ms: int
+    """The moment of this step, in whole milliseconds since the robot started.
+
+    On a board that is 12 days old each look at it takes 64 bytes of memory.
+    """
 
     elapsed_ms: int = 0
     """Milliseconds since its previous step; 0 at the first."""
+
+    _days = _ms = 0
 
     def react(self, *args: "Any", **readings: "Any") -> "Any":
         """Decide on the newest readings, which come by the names of their attributes.
@@ -197,29 +226,30 @@ class _Input:
     """A sensor, if it is due in this step, its newest value, and the time of that."""
 
     name: str
-    time: int
+    _ms: int
 
     def __init__(self, loop: "Any", part: "Any") -> None:
         self.due = True
         self.value: "Any" = None
         self.last: "Any" = None
         self.read = part.read
-        loop.insert(loop.inputs, self, part)
-        loop.pace(self, part.rate)
+        loop.insert(self, part, loop.inputs)
 
 
 class _Task:
     """A reaction, its ports by attribute, and its turn: at news if ``due`` is None."""
 
     blind: bool
-    now_ms = 0
+    elapsed_ms = _ms = 0
 
     def __init__(self, loop: "Any", reaction: "Any") -> None:
-        self.due: "bool | None" = None if reaction.rate is None else True
-        self.reaction, self.name, self.said = reaction, give_name(reaction), self
+        self.due: "Any" = reaction.rate  # always, or at news if it is None
+        self.reaction, self.said = reaction, self
+        if _COMPUTER:
+            vars(reaction).pop("now_ms", None)  # of STD
         self.ports: "Any" = {}
         self.values: "Any" = {}
-        loop.pace(self, reaction.rate)
+        loop.insert(self, reaction)
         timed, react = reaction, reaction.react
         terms: "Any" = []
         port: "Any" = self
@@ -231,6 +261,7 @@ class _Task:
                 terms.append((key, source, _ms(age), need.optional))
             else:
                 port = self.ports[key] = _Port(self, key, need, loop.outputs[name])
+                loop.ages.append(port)
                 if hasattr(need, "latch"):
                     timed, react = self, self.wake
         if len(self.ports) > 1:
@@ -248,7 +279,7 @@ class _Task:
         """Let what it writes or guards be looked at closely."""
         for port in self.ports.values():
             port.output.sure = None
-            port.time = -1
+            port._ms = -1
             if hasattr(port, "latch"):
                 port.output.due = True
 
@@ -267,7 +298,7 @@ class _Port:
     blind it keeps away the priority ``bar``, and less.
     """
 
-    time: int
+    _ms: int
     command: "Any"
     bar = _ENDS[0]
     shut = False
@@ -279,8 +310,8 @@ class _Port:
         if hasattr(need, "latch"):
             self.latch, beside = need.latch, output.guards
         else:
-            self.hold = _ms(need.hold) if need.hold else output.hold
-            if (need.blind or "safe") == "safe":
+            self.hold = _ms(need.hold or 0) or output.hold
+            if (_COMPUTER and not need.blind) or need.blind == "safe":
                 self.bar = need.priority
             beside = output.ports
         beside.append(self)
@@ -295,20 +326,20 @@ class _Port:
             self.task.ask(said, now)
         else:
             self.command = self.output.checked(said)
-            self.said, self.time = said, now
+            self.said, self._ms = said, now
 
     def checked(self, command: "Any") -> "Any":
         """Return what a guard lets pass of a command: None, or never more than it."""
         task, output = self.task, self.output
-        reaction, now, passed = task.reaction, output.loop.now_ms, None
+        reaction, now, passed = task.reaction, output.loop._ms, None
         if self.shut:
             return None
         try:
             if not task.blind:
-                if reaction.now_ms < 0:
-                    reaction.now_ms = now
-                reaction.elapsed_ms = now - reaction.now_ms
-                reaction.now_ms = now
+                if reaction.elapsed_ms < 0:
+                    reaction._ms = now
+                reaction.elapsed_ms = now - reaction._ms
+                reaction._ms = now
                 task.values[self.key] = command
                 passed = reaction.react(**task.values)
             elif not self.latch:
@@ -331,15 +362,15 @@ class _Output:
     name: str
     writer: "Any"  # the port whose command stands; None if it is safe
     last: "Any"  # that command
-    now_ms = 0  # when it was sent
-    holder: "Any" = None  # the port that keeps lower priorities away
+    _ms: int  # when it was sent
+    holder: "Any"  # the port that keeps lower priorities away
     sure: "Any"  # the writer, if nothing can be in its way
     bad: bool  # it has not taken its safe command
     due = False  # a guard sees something new
 
     def __init__(self, loop: "Any", part: "Any") -> None:
         self.loop, self.write = loop, part.write
-        loop.insert(loop.outputs, self, part)
+        loop.insert(self, part, loop.outputs)
         loop.parts.append(self)
         self.safe, self.type = part.safe, part.safe.__class__
         self.hold = _ms(part.command_timeout)
@@ -379,7 +410,7 @@ class _Output:
         self.close()
         if self.bad:
             return
-        loop, holder, age = self.loop, self.holder, now - late - self.now_ms
+        loop, holder, age = self.loop, self.holder, now - late - self._ms
         self.sure = best = None
         bar = _ENDS[not loop.armed]
         over = not holder or age >= holder.hold
@@ -390,7 +421,7 @@ class _Output:
                     self.writer = None
                 if port is holder:
                     holder = None
-            elif port.time == now and (
+            elif port._ms == now and (
                 not best
                 or (port is holder and not over and port.priority == best.priority)
             ):
@@ -414,7 +445,7 @@ class _Output:
             loop.refused += best is not None
             best = still = None
         elif not still:
-            self.holder, self.now_ms, age = best, now, 0
+            self.holder, self._ms, age = best, now, 0
             if not self.guards:
                 self.sure = best
         if age >= self.hold:
@@ -499,13 +530,12 @@ class Loop:
             what is wrong.
     """
 
-    now_ms: int = 0
-    steps: int = 0
+    now_ms: int
+    steps: int
     late: int = 0
     refused: int = 0
     faults: int = 0
-    said: int = 0
-    phase: int
+    _days = _ms = last = phase = said = 0
     fault: "Any"
     _run: "Any"
     fault = _run = None
@@ -525,6 +555,7 @@ class Loop:
         self.every: int = _ms(rate)  # steps in 1000 s
         self._slow: "Any" = []
         self.parts: "Any" = []
+        self.ages: "Any" = [self]
         self.tasks: "Any" = []
         for part in actuators:
             _Output(self, part)
@@ -533,19 +564,20 @@ class Loop:
         for reaction in reactions:
             _Task(self, reaction)
 
-    def insert(self, nodes: "Any", node: "Any", part: "Any") -> None:
-        """Take a part in, under its name."""
+    def insert(self, node: "Any", part: "Any", parts: "Any" = None) -> None:
+        """Take a part in, under its name, and give it its turns if it is a slow one."""
         node.name = give_name(part)
-        nodes[node.name] = node
-        if isinstance(part, _Part):  # one of STD opens elsewhere
-            self.parts.append(part)
-
-    def pace(self, part: "Any", rate: "float | None") -> None:
-        """Give a sensor or a reaction its turns, if it is slower than the loop."""
-        part.pace = self.every if rate is None else _ms(rate)
-        if part.pace < self.every:
-            part.phase = self.every
-            self._slow.append(part)
+        self.ages.append(part if parts is None else node)
+        if parts is not None:
+            parts[node.name] = node
+            if not _COMPUTER or isinstance(part, _Part):  # one of STD opens elsewhere
+                self.parts.append(part)
+        if _COMPUTER and not hasattr(part, "rate"):  # an actuator of STD
+            part.rate = None
+        node.pace = _ms(part.rate or 0) or self.every
+        if node.pace < self.every:
+            node.phase = self.every
+            self._slow.append(node)
 
     def step(self) -> None:
         """Make one step, for tests and for boards with a loop of their own.
@@ -555,17 +587,22 @@ class Loop:
         """
         if not self._run:
             self.open()
-        next(self._run)
+        self._run()
 
     def _steps(self) -> "Generator[None]":
         """Make a step each time: a generator has at hand what it works with."""
         paced, every = self._slow, self.every
         gap, odd = divmod(1000000, every)
         inputs, outputs = list(self.inputs.values()), list(self.outputs.values())
-        odd += len(paced)
         dark: "Any" = []  # who is blind, or will be before the next step
         while True:
-            now = self.now_ms
+            now = self._ms
+            while now >> 28:  # a day is over
+                self.said = 0
+                for node in self.ages:
+                    node._days += 1
+                    node._ms = max(node._ms - _DAY, _NEVER)
+                now = self._ms
             for node in paced:
                 node.due = node.phase >= every
                 node.phase %= every
@@ -581,24 +618,24 @@ class Loop:
                         if value is not node.last:
                             node.last = _check(value)
                             node.value = value
-                        node.time = now
+                        node._ms = now
                     except Exception as error:
                         self.note(node.name, error)
             for node, timed, terms, react, port, values in self.tasks:
                 news = node.due
                 for key, source, age, optional in terms:
-                    value = source.value
-                    if source.time == now:
+                    value, old = source.value, now - source._ms
+                    if not old:
                         if news is None:
                             news = True
                     elif optional:
-                        if now - source.time > age:
+                        if old > age:
                             value = None
                             if news is None and values.get(key) is not None:
                                 news = True
-                    elif now - source.time > age - gap:
+                    elif old > age - gap:
                         dark.append(node)
-                        if now - source.time > age:
+                        if old > age:
                             node.dark()
                             break
                     values[key] = value
@@ -609,13 +646,13 @@ class Loop:
                         try:
                             if node.blind:
                                 node.blind = False
-                                if timed.now_ms < 0:
-                                    timed.now_ms = now
-                            timed.elapsed_ms = now - timed.now_ms
-                            timed.now_ms = now
+                                if timed.elapsed_ms < 0:
+                                    timed._ms = now
+                            timed.elapsed_ms = now - timed._ms
+                            timed._ms = now
                             command = react(**values)
                             if command is port.said:
-                                port.time = now
+                                port._ms = now
                             else:
                                 port.ask(command, now)
                         except Exception as error:
@@ -627,13 +664,13 @@ class Loop:
             for node in outputs:
                 best = node
                 for port in node.ports:
-                    if port.time == now:
+                    if port._ms == now:
                         if best is node:
                             best = port
                         else:
                             self.refused += 1
                 if best is node.sure:
-                    node.now_ms = now
+                    node._ms = now
                     node.last = value = best.command
                     try:
                         node.write(value)
@@ -642,19 +679,18 @@ class Loop:
                         node.open()
                 else:
                     node.step(now)
-            self.steps += 1
-            if odd:
+            if odd or paced:
                 self.skip(1)
                 self.late -= 1  # it was not left out
             else:
-                self.now_ms = now + gap
+                self._ms = now + gap
             yield
 
     def skip(self, steps: int) -> None:
         """Leave out steps that come too late."""
         self.late += steps
         self.phase += 1000000 * steps
-        self.now_ms += self.phase // self.every
+        self._ms += self.phase // self.every
         self.phase %= self.every
         for node in self._slow:
             node.phase += node.pace * steps
@@ -670,18 +706,18 @@ class Loop:
         """
         try:
             self.open()
-            begin = _ticks()
+            begin = _ticks() & _MASK
             while steps != 0:
                 self.step()
                 if steps:
                     steps -= 1
                 if feed:
                     feed()
-                left = ((begin + self.now_ms - _ticks() + _HALF) & _MASK) - _HALF
-                if left < 0:
-                    self.skip(-left * self.every // 1000000)
+                late = ((_ticks() - begin - self._ms + _LONGEST) & _MASK) - _LONGEST
+                if late > 0:
+                    self.skip(late * self.every // 1000000)
                 else:
-                    _sleep(left)
+                    _sleep(-late)
         finally:
             self.close()
 
@@ -690,12 +726,15 @@ class Loop:
 
         `run` does this, and the first `step`.
         """
-        self.now_ms = self.phase = self.said = 0
+        self.last = self.steps + self.late  # the times begin anew
+        self.phase = self.said = 0
+        for node in self.ages:
+            node._ms = node._days = 0
         for node in self.inputs.values():
-            node.time = _NEVER
+            node._ms = _NEVER
         for wired in self.tasks:
             task = wired[0]
-            task.reaction.now_ms = -1
+            task.reaction.elapsed_ms = -1
             task.blind = True
             task.wake()
         failed: "Any" = None
@@ -706,17 +745,17 @@ class Loop:
                 failed = error
         if failed:
             raise failed
-        self._run = self._steps()
-        self.step = self._run.__next__  # type: ignore[method-assign]
+        self.step = self._run = self._steps().__next__  # type: ignore[method-assign]
 
     def close(self) -> None:
         """Give each actuator its safe command, three tries each, and close all."""
         if self._run:
             del self.step
         self._run = stop = None
-        for output in self.outputs.values():
-            output.bad = True
-        for each in list(self.outputs.values()) * 3 + self.parts:
+        outputs = list(self.outputs.values())
+        for each in outputs:
+            each.bad = True
+        for each in outputs * 3 + self.parts:
             try:
                 each.close()
             except Exception as error:
@@ -734,20 +773,33 @@ class Loop:
 
     def reset(self, name: str) -> bool:
         """Let a guard that has shut decide again; tell whether it does."""
-        for output in self.outputs.values():
-            for port in output.guards:
-                if port.task.name == name:
-                    port.shut = port.shut and port.task.blind
-                    return not port.shut
+        for port in self.ages:
+            if hasattr(port, "latch") and port.task.name == name:
+                port.shut = port.shut and port.task.blind
+                return not port.shut
         return False
 
     def note(self, name: str, fault: BaseException) -> None:
         """Count a fault, and print it: a line a second at most."""
         self.faults += 1
         self.fault = (name, fault)
-        if self.now_ms >= self.said:  # until then enough was said
-            self.said = self.now_ms + 1000
+        if self._ms >= self.said:  # until then enough was said
+            self.said = self._ms + 1000
             self.say("esair: %s: %r, fault %d" % (name, fault, self.faults))
+
+
+def _clock(node: "Any", name: str) -> int:
+    """Return the time of a node: a number that is made only when somebody asks."""
+    now: int = (node._days << 28) + node._ms
+    if name == "steps":
+        now = (now * node.every + node.phase) // 1000000  # periods
+        return node.last + now - node.late  # type: ignore[no-any-return]
+    if name != "now_ms":
+        raise AttributeError(name)
+    return now
+
+
+Reaction.__getattr__ = Loop.__getattr__ = _clock  # type: ignore[attr-defined]
 
 
 def _check(value: "Any", most: "Any" = ()) -> "Any":
@@ -784,9 +836,12 @@ def _ms(value: float) -> int:
 
 def declared(reaction: "Any") -> "Any":
     """Return what a reaction declares to use, by attribute."""
-    needs: "Any" = getattr(reaction, "needs", {})  # of STD
-    for key in dir(reaction):
-        need = getattr(reaction.__class__, key, None)
+    needs: "Any" = {}
+    kind = reaction.__class__
+    if _COMPUTER:
+        needs = getattr(reaction, "needs", needs)  # of STD
+    for key in dir(kind):
+        need = getattr(kind, key, None)
         if isinstance(need, Need):
             needs[key] = need
     return needs.items()
@@ -798,8 +853,11 @@ def give_name(part: "Any") -> str:
     if not name:
         kind = part.__class__.__name__
         for before, letter, after in zip("_" + kind, kind, kind[1:] + "_"):
-            first = after.islower() or not before.isupper()
-            if letter.isupper() and first and before != "_":
+            if (
+                letter.isupper()
+                and before != "_"
+                and (after.islower() or not before.isupper())
+            ):
                 name += "_"
             name += letter.lower()
         part.name = name = name.strip("_")

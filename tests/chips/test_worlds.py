@@ -98,6 +98,12 @@ def test_written_at_random_to_the_bit(tmp_path, request) -> None:
 
 
 @pytest.mark.long
+def test_what_equals_safe_and_passes_who_is_blind_is_safe_itself(tmp_path) -> None:
+    """A zero with the other sign, wanted while a higher one is blind, goes as 0.0."""
+    assert differing(range(10_319, 10_320), 2, tmp_path) == {}
+
+
+@pytest.mark.long
 def test_nothing_undefined(tmp_path, request) -> None:
     """No overflow, no wild shift, no step over the end of a row."""
     many = 6 if request.config.getoption("--esair-long") else 1

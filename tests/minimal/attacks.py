@@ -316,6 +316,27 @@ def attack_a_month_has_more_milliseconds_than_a_small_integer():
     assert board.now == 0.0, board.motor.told
 
 
+def attack_a_day_of_the_loop_ends_while_the_host_drives():
+    """Moments go back then: no command ends early, none lasts longer, no beat is lost."""
+    for days in (1, 4, 5, 1175):
+        for before in range(0, 24, 3):
+            board = driving()
+            end = (days << 28) - before * STEP_MS
+            board.loop.skip((end - board.loop.now_ms) // STEP_MS)
+            board.step(3, [BEAT])
+            del board.motor.told[:]
+            board.step(5, [BEAT, go(0.25)])
+            board.step(1, [BEAT, go(0.5)])
+            board.step(5, [BEAT])
+            assert 0.0 not in board.motor.told, (days, before, board.motor.told)
+            assert board.now == 0.5, (days, before, board.motor.told)
+            for _ in range(20):
+                board.step(1, [BEAT])
+            assert board.now == 0.0, (days, before, board.motor.told)
+            assert board.motor.told.count(0.5) <= 16, (days, before, board.motor.told)
+            assert board.loop.faults == 0, board.loop.fault
+
+
 def attack_ten_years_are_a_moment_like_any_other():
     board = driving()
     board.loop.skip(10 * 365 * 24 * 3600 * 1000 // STEP_MS)

@@ -326,7 +326,7 @@ def rule_slower_parts_have_their_turns():
 def rule_late_steps_are_counted_and_skipped():
     class Slow(Sonar):
         def read(self):
-            minimal.time.sleep(0.025)
+            minimal._sleep(25)
             return 0.5
 
     fed = []
@@ -907,6 +907,64 @@ def rule_readings_may_come_together():
 
     _, motor = told_by([0.5], 2, All())
     assert motor.told == [0.0, 0.5, 0.5], motor.told
+
+
+class Aged(Reaction):
+    """Writes down its times, and commands by them."""
+
+    sonar = reads(float, max_age=0.5)
+    motor = writes(float, hold=0.1)
+    rate = 25
+
+    def __init__(self):
+        super().__init__()
+        self.times = []
+
+    def react(self, sonar):
+        self.times.append((self.now_ms, self.elapsed_ms))
+        return 0.5 if (self.now_ms - self.base) // 100 % 3 else None
+
+
+class AgedGuard(Reaction):
+    """Lets less pass by the time, and writes that down too."""
+
+    motor = guards(float)
+
+    def __init__(self):
+        super().__init__()
+        self.times = []
+
+    def react(self, motor):
+        self.times.append((self.now_ms, self.elapsed_ms))
+        return motor if self.elapsed_ms < 100 else 0.0
+
+
+def of_age(first, guarded):
+    """Return what a robot does in 2 s from a moment on, and its times since."""
+    motor, aged, guard = Motor(), Aged(), AgedGuard()
+    sonar = Sonar(*([1.0] * 21 + [OSError(5)] * 40 + [1.0] * 50))
+    loop = Loop([aged] + [guard] * guarded, [sonar], [motor], rate=50)
+    loop.open()
+    loop.say = str
+    loop.skip(first // 200 * 10)
+    aged.base = base = loop.now_ms
+    moments = []
+    for _ in range(110):
+        loop.step()
+        moments.append((len(motor.told), loop.now_ms - base, loop.steps))
+    assert loop.late == first // 200 * 10
+    times = [(now - base, elapsed) for now, elapsed in aged.times + guard.times]
+    return motor.told, moments, times, loop.refused, loop.faults
+
+
+def rule_a_loop_of_any_age_decides_the_same():
+    for guarded in (False, True):
+        young = of_age(1000, guarded)
+        assert young[0].count(0.5) > 10, young[0]
+        assert young[3] + young[4] > 0
+        for days in (1, 4, 1175):  # 3 and 12 days, 10 years
+            told = of_age((days << 28) - 1000, guarded)
+            assert told == young, (days, guarded, told, young)
 
 
 def rule_a_loop_runs_again():

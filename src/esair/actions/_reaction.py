@@ -70,8 +70,12 @@ class Told:
         self._name = name
 
     def __get__(self, reaction: Any, owner: type | None = None) -> int:
-        clock = None if reaction is None else vars(reaction).get("_step_clock")
-        return 0 if clock is None else getattr(clock, self._name)
+        fields = {} if reaction is None else vars(reaction)
+        if "_step_clock" in fields:
+            return cast(int, getattr(fields["_step_clock"], self._name))
+        # A loop of MIN has told it; `elapsed_ms` is then an attribute of its own.
+        days, rest = fields.get("_days", 0), fields.get("_ms", 0)
+        return (days << 28) + rest if self._name == "now_ms" else 0
 
 
 class Reaction(ProfiledAction):

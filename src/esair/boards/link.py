@@ -25,6 +25,9 @@ A value is `f` or `d` and a float, `i` or `q` and a whole number, `T`, `F`, `s` 
 text, `r` and a row of values, `R` and a row of floats, or `j` and JSON.
 """
 
+# ruff: noqa: SLF001
+# The moments of a loop that never grow are its own.
+
 import struct
 from binascii import crc32
 
@@ -57,7 +60,12 @@ AT_ONCE = 96
 """Bytes that are read in one step: more of them wait, and no step is late for them."""
 
 DAY_MS = const(1 << 28)
-"""What a beat counts as days."""
+"""What a loop and a beat count as days."""
+
+_MASK = const(
+    0xFFFFFFF
+)  # all times but those of this module go back by a day after a day
+_HALF = const(0x8000000)
 
 _WHOLE = const(0x2144DF1C)  # the checksum of a message and its checksum
 
@@ -171,22 +179,13 @@ class FromHost(Reaction):
     def __init__(self, actuator: str, seconds: float) -> None:
         Reaction.__init__(self, HOST + " " + actuator)
         self.target = actuator
-        self.good_ms: int = int(seconds * 1000)
+        self.good_ms: int = int(min(seconds * 1000, _HALF))
         self.command: Any = None
-        self.left: int = 0
-
-    def take(self, command: "Any") -> None:
-        """Want, from the next step on, what the computer has written last."""
-        self.command = command
-        self.left = self.good_ms
+        self.ends: int = 0
 
     def react(self, host: int) -> "Any":
-        """Go on with it while it is good."""
-        left = self.left
-        if left > 0:
-            self.left = left - self.elapsed_ms
-            return self.command
-        return None
+        """Go on with what the computer has written last, while it is good."""
+        return self.command
 
 
 def from_host(actuators: "tuple[Any, ...]") -> "list[FromHost]":
@@ -241,6 +240,9 @@ class Link:
         )  # what the computer asks for, in ms
         self.due: list[int] = [0] * len(self.sensors)
         self.told: list[int] = [-1] * len(self.sensors)
+        self.ends: int = (
+            -1
+        )  # the first command that is no longer good then; -1: none is
         self.beat: int = 0
         self.rest: int = 0  # until then there is nothing to tell
         self.beats: int = 9  # the tenth tells all
@@ -258,14 +260,28 @@ class Link:
     def __call__(self) -> None:
         """Do what is due after a step; what fails is a fault, and stops no reflex."""
         try:
+            if self.ends >= 0 and self.loop._ms - self.ends & _MASK < _HALF:
+                self._end()
             self._hear()
             self._tell()
         except Exception as error:
             self.loop.note("link", error)
 
+    def _end(self) -> None:
+        """Want no more what was good until now."""
+        now, self.ends = self.loop._ms, -1
+        for order in self.orders:
+            if order.command is not None:
+                if now - order.ends & _MASK < _HALF:
+                    order.command = None
+                elif (
+                    self.ends < 0 or order.ends - now & _MASK < self.ends - now & _MASK
+                ):
+                    self.ends = order.ends
+
     def _tell(self) -> None:
         """Send one message: an answer, a beat, or the readings that are asked for."""
-        now = self.loop.now_ms
+        now = self.loop._ms
         if self.answer is not None:
             data, self.answer = self.answer, None
             self.packet[: len(data)] = data
@@ -289,8 +305,8 @@ class Link:
                 ahead = due[i] - now
                 if not 0 < ahead <= gap:
                     node = self.sensors[i]
-                    if fresh <= node.time != self.told[i]:
-                        self.told[i] = node.time
+                    if fresh <= node._ms != self.told[i]:
+                        self.told[i] = node._ms
                         ahead += gap
                         if not 0 < ahead <= gap:
                             ahead = gap
@@ -316,8 +332,8 @@ class Link:
             VERSION,
             (1 if loop.armed else 0) + (2 if FLOAT == "d" else 0),
             self.cause,
-            now // DAY_MS & 0xFFFF,
-            now % DAY_MS,
+            loop._days & 0xFFFF,
+            now,
         )
         at = 10
         self.beats += 1
@@ -341,12 +357,12 @@ class Link:
             self.beats %= 10
             self.counts, self.faults = counts, loop.faults
         self._send(at)
-        if now - self.host.time > SILENCE_MS:
+        if now - self.host._ms > SILENCE_MS:
             self.every = [0] * len(self.every)  # nobody reads
         gone = b""
         for i in range(len(self.every)):
             node = self.sensors[i]
-            if self.every[i] and now - max(0, node.time) > 3000000 // node.pace:
+            if self.every[i] and now - max(0, node._ms) > 3000000 // node.pace:
                 gone += bytes([i, 120])  # x
         if gone:
             self.answer = b"s" + gone
@@ -435,7 +451,10 @@ class Link:
                     return False  # it says more than it has
                 if isinstance(value, tuple):
                     value = _like(self.loop.outputs[order.target].safe, value)
-                order.take(value)
+                order.command = value
+                order.ends = self.loop._ms + order.good_ms
+                if self.ends < 0 or order.good_ms < self.ends - self.loop._ms & _MASK:
+                    self.ends = order.ends
         elif kind == 104 and end == 4:  # h
             self.version = message[2]
             if self.version == VERSION:
@@ -455,7 +474,7 @@ class Link:
 
     def _beaten(self, flags: int) -> None:
         self.host.value = self.host.value + 1 & 0xFFFF
-        self.host.time = self.loop.now_ms
+        self.host._ms = self.loop._ms
         if flags & 1:
             self.beats = 9
             names = ",".join([each.name for each in self.sensors])

@@ -7,9 +7,8 @@ copied to a board: ``esair/minimal.py``, the modules of the parts, and ``main.py
 from esair.firmware._boards import BOARDS, Board
 from esair.firmware._build import Built, build
 from esair.firmware._deploy import Deployed, deploy, monitor
-from esair.firmware._fit import uneven_on_boards
+from esair.firmware._fit import mistakes_in, uneven_on_boards
 from esair.firmware._micropython import Trial, find_micropython, run_folder
-from esair.firmware._mistakes import mistakes_in
 from esair.firmware._modules import KNOWN_MODULES
 
 __all__ = [

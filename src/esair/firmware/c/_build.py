@@ -11,7 +11,7 @@ import attrs
 from esair.config import ConfigFileError, load, searched_first
 from esair.exceptions import ConfigError
 from esair.firmware._fit import fitting_parts, loop_mistakes, rate_of
-from esair.firmware.c._types import BOOL, INT, REAL, RefusedError, Type
+from esair.firmware.c._scope import BOOL, INT, REAL, RefusedError, Type
 from esair.firmware.c._wiring import Program, Wiring, filled
 from esair.values import check_choice
 

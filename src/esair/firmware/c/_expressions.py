@@ -13,16 +13,19 @@ import math
 import operator
 import types
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
-from esair.firmware.c._scope import UNKNOWN, Scope, Value, convert
-from esair.firmware.c._types import (
+from esair.firmware.c._scope import (
     BOOL,
     INT,
     NONE,
     REAL,
+    UNKNOWN,
     RefusedError,
+    Scope,
     Type,
+    Value,
+    convert,
     equal,
     is_named,
 )
@@ -80,51 +83,28 @@ _INSTEAD: Final = {
 }
 
 
-class Expressions:
-    """Translates the expressions of one function.
-
-    Args:
-        scope: What they can see; it takes the statements that they need.
-    """
-
-    def __init__(self, scope: Scope) -> None:
-        self.scope = scope
-        self._by_node: dict[type[ast.expr], Callable[[Any], Value]] = {
-            ast.Constant: lambda node: self.scope.constant(node.value),
-            ast.Name: lambda node: self.scope.name(node.id),
-            ast.Attribute: self._attribute,
-            ast.Subscript: self._subscript,
-            ast.Tuple: lambda node: self.display(self.operands(node.elts)),
-            ast.UnaryOp: self._unary,
-            ast.BinOp: lambda node: self.binary(
-                node.op, *self.operands([node.left, node.right])
-            ),
-            ast.Compare: lambda node: Value(BOOL, self.condition(node)),
-            ast.BoolOp: self._and_or,
-            ast.IfExp: self._if,
-            ast.Call: self._call,
-            ast.Dict: self._commands,
-        }
+class Expressions(Scope):
+    """Translates the expressions of one function; statements that they need go before."""
 
     def of(self, node: ast.expr) -> Value:
         """Translate an expression."""
-        with self.scope.at(node):
+        with self.at(node):
             if type(node) not in self._by_node:
                 raise RefusedError(
                     f"{ast.unparse(node):.60}: C has nothing like it; write numbers, "
                     "tuples, if and for"
                 )
-            return self._by_node[type(node)](node)
+            return self._by_node[type(node)](self, node)
 
     def operands(self, nodes: Sequence[ast.expr]) -> list[Value]:
         """Translate expressions that Python evaluates from left to right."""
         found: list[Value] = []
         for node in nodes:
-            with self.scope.aside() as lines:
+            with self.aside() as lines:
                 value = self.of(node)
             if lines:
                 found = [self.kept(each) for each in found]
-                self.scope.lines += lines
+                self.lines += lines
             found.append(value)
         return found
 
@@ -132,8 +112,8 @@ class Expressions:
         """Return a value that stays what it is now, whatever statements follow."""
         if value.simple:
             return value
-        name = self.scope.new_name()
-        self.scope.say(f"const {value.type.c} {name} = {value.text};")
+        name = self.new_name()
+        self.say(f"const {value.type.c} {name} = {value.text};")
         return Value(value.type, name, True)
 
     def there(self, value: Value) -> Value:
@@ -155,7 +135,7 @@ class Expressions:
         """Write a number as a float."""
         value = self.number(value)
         if value.is_known:
-            return self.scope.types.literal(float(value.known), REAL)
+            return self.types.literal(float(value.known), REAL)
         return value.text if value.type is REAL else f"(real){value.text}"
 
     def as_int(self, value: Value) -> str:
@@ -177,7 +157,7 @@ class Expressions:
         left, right = self.number(left), self.number(right)
         if left.is_known and right.is_known:
             try:
-                return self.scope.constant(python(left.known, right.known))
+                return self.constant(python(left.known, right.known))
             except (ArithmeticError, RefusedError, TypeError, ValueError):
                 pass  # it is a fault when it is done, or is refused below
         if not whole or REAL in {left.type, right.type}:
@@ -196,7 +176,7 @@ class Expressions:
             isinstance(node.op, ast.USub)
             and type(getattr(node.operand, "value", "")) is int
         ):
-            return self.scope.constant(-node.operand.value)  # type: ignore[attr-defined]
+            return self.constant(-node.operand.value)  # type: ignore[attr-defined]
         value = self.number(self.of(node.operand))
         signs: Any = {
             ast.USub: operator.neg,
@@ -204,7 +184,7 @@ class Expressions:
             ast.Invert: operator.inv,
         }
         if value.is_known and value.known != -(2**31):
-            return self.scope.constant(signs[type(node.op)](value.known))
+            return self.constant(signs[type(node.op)](value.known))
         if isinstance(node.op, ast.Invert):
             return Value(INT, f"(~{self.as_int(value)})")
         if isinstance(node.op, ast.UAdd):
@@ -226,7 +206,7 @@ class Expressions:
 
     def condition(self, node: ast.expr) -> str:
         """Translate what decides: only as much of it is evaluated as Python does."""
-        with self.scope.at(node):
+        with self.at(node):
             if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
                 return f"!{self.condition(node.operand)}"
             if isinstance(node, ast.BoolOp):
@@ -244,13 +224,13 @@ class Expressions:
 
     def _further(self, text: str, wanted: bool, more: Callable[[], str]) -> str:
         """Write a condition that is looked at further only if it was as wanted."""
-        with self.scope.aside() as lines:
+        with self.aside() as lines:
             other = more()
         if not lines:
             return f"({text} {'&&' if wanted else '||'} {other})"
-        name = self.scope.new_name()
-        self.scope.say(f"bool {name} = {text};")
-        self.scope.block(
+        name = self.new_name()
+        self.say(f"bool {name} = {text};")
+        self.block(
             f"if ({'' if wanted else '!'}{name})", [*lines, f"{name} = {other};"]
         )
         return name
@@ -289,7 +269,7 @@ class Expressions:
             if left.type.of:
                 return f"({'' if no else '!'}{left.text}.some)"
             if not left.simple:
-                self.scope.say(f"(void)({left.text});")
+                self.say(f"(void)({left.text});")
             return "true" if (left.type is NONE) != bool(no) else "false"
         if isinstance(op, ast.In | ast.NotIn):
             if not isinstance(right.known, tuple):
@@ -298,8 +278,7 @@ class Expressions:
                 )
             left = self.kept(left)
             each = [
-                self.pair(ast.Eq(), left, self.scope.constant(one))
-                for one in right.known
+                self.pair(ast.Eq(), left, self.constant(one)) for one in right.known
             ]
             return f"{no}({' || '.join(each)})"
         if left.type.fields or right.type.fields:
@@ -321,30 +300,30 @@ class Expressions:
         """Translate ``a or b`` where its value counts, not only whether it is true."""
         values, asides = [], []
         for each in node.values:
-            with self.scope.aside() as lines:
+            with self.aside() as lines:
                 values.append(self.of(each))
             asides.append(lines)
         kind = values[0].type
         for value in values:
-            kind = self.scope.joined(kind, value.type, "`and`, `or`")
+            kind = self.joined(kind, value.type, "`and`, `or`")
         if kind is NONE:
             raise RefusedError("`and`, `or` of None alone: write None")
-        self.scope.lines += asides[0]
-        name = self.scope.new_name()
-        self.scope.say(f"{kind.c} {name} = {convert(values[0], kind)};")
+        self.lines += asides[0]
+        name = self.new_name()
+        self.say(f"{kind.c} {name} = {convert(values[0], kind)};")
         test = self.truth(Value(kind, name, True))
         for lines, value in zip(asides[1:], values[1:], strict=True):
             no = "" if isinstance(node.op, ast.And) else "!"
-            self.scope.block(
+            self.block(
                 f"if ({no}{test})", [*lines, f"{name} = {convert(value, kind)};"]
             )
         return Value(kind, name, True)
 
     def _if(self, node: ast.IfExp) -> Value:
         test = self.condition(node.test)
-        with self.scope.aside() as yes:
+        with self.aside() as yes:
             one = self.of(node.body)
-        with self.scope.aside() as no:
+        with self.aside() as no:
             other = self.of(node.orelse)
         if (
             isinstance(node.test, ast.Compare)
@@ -357,18 +336,16 @@ class Expressions:
                 one = self.there(one)
             elif op is ast.Is and ast.dump(node.orelse) == asked:
                 other = self.there(other)
-        kind = self.scope.joined(one.type, other.type, "the two sides of `if ... else`")
+        kind = self.joined(one.type, other.type, "the two sides of `if ... else`")
         if kind is NONE:
-            self.scope.block(f"if ({test})", yes, no)
+            self.block(f"if ({test})", yes, no)
             return one
         a, b = convert(one, kind), convert(other, kind)
         if not yes and not no:
             return Value(kind, f"({test} ? {a} : {b})")
-        name = self.scope.new_name()
-        self.scope.say(f"{kind.c} {name};")
-        self.scope.block(
-            f"if ({test})", [*yes, f"{name} = {a};"], [*no, f"{name} = {b};"]
-        )
+        name = self.new_name()
+        self.say(f"{kind.c} {name};")
+        self.block(f"if ({test})", [*yes, f"{name} = {a};"], [*no, f"{name} = {b};"])
         return Value(kind, name, True)
 
     def display(self, values: Sequence[Value], cls: Any = None) -> Value:
@@ -379,10 +356,10 @@ class Expressions:
             )
         if all(each.is_known for each in values):
             known = [each.known for each in values]
-            return self.scope.constant(cls(*known) if cls else tuple(known))
+            return self.constant(cls(*known) if cls else tuple(known))
         names = cls._fields if cls else ()
         kinds = tuple(each.type for each in values)
-        return self._tuple(self.scope.types.tuple_of(kinds, names, cls), values)
+        return self._tuple(self.types.tuple_of(kinds, names, cls), values)
 
     def _tuple(self, kind: Type, values: Sequence[Value]) -> Value:
         text = f"{{{', '.join(each.text for each in values)}}}"
@@ -391,25 +368,25 @@ class Expressions:
     def item(self, value: Value, number: int) -> Value:
         """Return a field of a tuple."""
         if value.is_known:
-            return self.scope.constant(value.known[number])
+            return self.constant(value.known[number])
         value = self.kept(value)
         return Value(
             value.type.fields[number], value.text + value.type.field(number), True
         )
 
     def _attribute(self, node: ast.Attribute) -> Value:
-        owner = self.scope.thing(node.value)
-        if self.scope.is_self(node.value):
-            return self.scope.attribute(node.attr)
+        owner = self.thing(node.value)
+        if self.is_self(node.value):
+            return self.attribute(node.attr)
         if isinstance(owner, types.ModuleType | type):
-            return self.scope.constant(getattr(owner, node.attr, UNKNOWN))
+            return self.constant(getattr(owner, node.attr, UNKNOWN))
         value = self.there(self.of(node.value))
         if node.attr in value.type.names:
             return self.item(value, value.type.names.index(node.attr))
         found = inspect.getattr_static(value.type.cls, node.attr, UNKNOWN)
         if found is UNKNOWN or callable(found) or hasattr(found, "__get__"):
             raise RefusedError(f"{value.type.said} has no field {node.attr!r} in C")
-        return self.scope.constant(found)
+        return self.constant(found)
 
     def _subscript(self, node: ast.Subscript) -> Value:
         if isinstance(node.slice, ast.Slice):
@@ -439,7 +416,7 @@ class Expressions:
         if isinstance(function, ast.Attribute) and isinstance(function.value, ast.Dict):
             return self._looked_up(function, node)
         owner: Value | None = None
-        target = self.scope.thing(function)
+        target = self.thing(function)
         if isinstance(function, ast.Attribute) and target is None:
             owner = self.there(self.of(function.value))
             target = inspect.getattr_static(owner.type.cls, function.attr, None)
@@ -449,12 +426,12 @@ class Expressions:
                 )
             owner = self.kept(owner)
         if target is float and node.args and isinstance(node.args[0], ast.Constant):
-            return self.scope.constant(float(ast.literal_eval(node.args[0])))  # "inf"
+            return self.constant(float(ast.literal_eval(node.args[0])))  # "inf"
         values = self.operands([*node.args, *(each.value for each in node.keywords)])
         args = values[: len(node.args)]
         names = [str(each.arg) for each in node.keywords]
         named = dict(zip(names, values[len(args) :], strict=True))
-        bound = self.scope.memory.bound
+        bound = self.memory.bound
         if is_named(target):
             new = functools.partial(target.__new__, target)
             return self.display([*bound(new, args, named).values()], target)
@@ -467,13 +444,13 @@ class Expressions:
 
     def _called(self, target: Any, args: dict[str, Value]) -> Value:
         """Call a function of the user; a statement of its own if it changes self."""
-        function = self.scope.memory.call(target, args)
-        self.scope.function.impure |= function.impure
-        self.scope.function.timed |= function.timed
+        function = self.memory.call(target, args)
+        self.function.impure |= function.impure
+        self.function.timed |= function.timed
         text = function.called(args)
         if function.result in {None, NONE}:
-            self.scope.say(f"{text};")
-            return self.scope.constant(None)
+            self.say(f"{text};")
+            return self.constant(None)
         assert function.result is not None
         value = Value(function.result, text)
         return self.kept(value) if function.impure else value
@@ -485,7 +462,7 @@ class Expressions:
         if value.type.of:
             value = self.kept(value)
             text = self.as_command(inside(value), kind).text
-            some = self.scope.types.option(kind)
+            some = self.types.option(kind)
             return Value(some, f"(({some.c}){{{value.text}.some, {text}}})")
         if kind is REAL and value.type is INT:
             return Value(REAL, self.as_real(value))
@@ -505,7 +482,7 @@ class Expressions:
 
     def _commands(self, node: ast.Dict) -> Value:
         """Translate ``{"left": ..., "right": ...}``, commands for several actuators."""
-        ports = self.scope.memory.ports
+        ports = self.memory.ports
         keys = [
             each.value if isinstance(each, ast.Constant) else None for each in node.keys
         ]
@@ -513,10 +490,10 @@ class Expressions:
             raise RefusedError(
                 "a dictionary: only of commands, each once, by the names of ports"
             )
-        options = [self.scope.types.option(each) for each in ports.values()]
-        kind = self.scope.types.tuple_of(tuple(options), tuple(ports), None)
+        options = [self.types.option(each) for each in ports.values()]
+        kind = self.types.tuple_of(tuple(options), tuple(ports), None)
         values = dict(zip(keys, self.operands(node.values), strict=True))
-        none = self.scope.constant(None)
+        none = self.constant(None)
         texts = [
             convert(self.as_command(values.get(name, none), ports[name]), option)
             for name, option in zip(ports, options, strict=True)
@@ -544,10 +521,10 @@ class Expressions:
         key, value = map(self.kept, self.operands(node.args))
         kind, text = value.type, value.text
         for known, each in reversed(found.items()):
-            kind = self.scope.joined(kind, each.type, "the values of the dictionary")
+            kind = self.joined(kind, each.type, "the values of the dictionary")
             if kind is not value.type:
                 raise RefusedError("None in the dictionary: write if and elif")
-            test = self.pair(ast.Eq(), key, self.scope.constant(known))
+            test = self.pair(ast.Eq(), key, self.constant(known))
             text = f"({test} ? {each.text} : {text})"
         return Value(kind, text)
 
@@ -561,7 +538,7 @@ class Expressions:
         if target in {min, max} and len(args) > 1:
             return self._extreme(target, args)
         if target is len and len(args) == 1 and args[0].type.fields:
-            return self.scope.constant(len(args[0].type.fields))
+            return self.constant(len(args[0].type.fields))
         if target is bool and len(args) == 1:
             return Value(BOOL, self.truth(args[0]))
         takes = 2 if target in {math.atan2, math.copysign} else 1
@@ -574,7 +551,7 @@ class Expressions:
         values = [self.number(each, said) for each in args]
         if all(each.is_known for each in values):
             try:
-                return self.scope.constant(target(*(each.known for each in values)))
+                return self.constant(target(*(each.known for each in values)))
             except (ArithmeticError, ValueError, RefusedError):
                 pass  # it is a fault when it is done
         return self._calculated(target, values)
@@ -608,6 +585,23 @@ class Expressions:
         for each in values[1:]:
             text = f"{name}({text}, {each.text})"
         return Value(values[0].type, text)
+
+    _by_node: ClassVar[dict[type[ast.expr], Callable[[Any, Any], Value]]] = {
+        ast.Constant: lambda self, node: self.constant(node.value),
+        ast.Name: lambda self, node: self.name(node.id),
+        ast.Attribute: _attribute,
+        ast.Subscript: _subscript,
+        ast.Tuple: lambda self, node: self.display(self.operands(node.elts)),
+        ast.UnaryOp: _unary,
+        ast.BinOp: lambda self, node: self.binary(
+            node.op, *self.operands([node.left, node.right])
+        ),
+        ast.Compare: lambda self, node: Value(BOOL, self.condition(node)),
+        ast.BoolOp: _and_or,
+        ast.IfExp: _if,
+        ast.Call: _call,
+        ast.Dict: _commands,
+    }
 
 
 def inside(value: Value) -> Value:

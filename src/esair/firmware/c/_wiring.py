@@ -14,8 +14,7 @@ import attrs
 
 from esair import actions, minimal
 from esair.firmware.c._functions import Functions
-from esair.firmware.c._scope import Value
-from esair.firmware.c._types import (
+from esair.firmware.c._scope import (
     BOOL,
     INT,
     NONE,
@@ -23,6 +22,7 @@ from esair.firmware.c._types import (
     RefusedError,
     Type,
     Types,
+    Value,
     equal,
     in_c,
 )
@@ -264,8 +264,8 @@ class Wiring:
         pace = 0 if task.reaction.rate is None else task.pace
         react = "NULL" if guarding else f"react_{name}"
         return (
-            f"{{{react}, es_terms + {first}, {pace}, ES_EVERY, 0, {len(terms)}, "
-            f"ROBOT_REACTION_{name.upper()}, 0, {_c(guarding)}, false, false, false}}"
+            f"{{{{0, {pace}, ES_EVERY, false}}, {react}, es_terms + {first}, {len(terms)}, "
+            f"ROBOT_REACTION_{name.upper()}, 0, {_c(guarding)}, false, false}}"
         )
 
     def _readings(self, terms: Any, first: int) -> dict[str, Value]:
@@ -347,7 +347,8 @@ class Wiring:
 
     def _input_row(self, name: str) -> str:
         node = self._loop.inputs[name]
-        return f"{{take_{name}, {node.pace}, ES_EVERY, ES_OLD, ROBOT_SENSOR_{name.upper()}, false}}"
+        turn = f"{{ES_OLD, {node.pace}, ES_EVERY, false}}"
+        return f"{{{turn}, take_{name}, ROBOT_SENSOR_{name.upper()}}}"
 
     def _port_row(self, port: Any) -> str:
         bar = "ES_NEVER" if math.isinf(port.bar) else str(port.bar)

@@ -10,11 +10,15 @@
 #define ES_SHARED static
 #endif
 
-typedef struct { /* a sensor, and how old its reading is */
-    bool (*take)(void);
-    uint32_t pace, phase, age;
-    uint8_t part;
+typedef struct { /* when a part has its turn; a pace of 0: on each new reading */
+    uint32_t age, pace, phase;
     bool due;
+} es_turn;
+
+typedef struct { /* a sensor, and how old its reading is */
+    es_turn turn;
+    bool (*take)(void);
+    uint8_t part;
 } es_input;
 
 typedef struct { /* a reading that a reaction uses */
@@ -23,12 +27,12 @@ typedef struct { /* a reading that a reaction uses */
     bool optional, there;
 } es_term;
 
-typedef struct { /* a reaction; its pace is 0 if it runs on each new reading */
+typedef struct { /* a reaction, and how long ago its last step was */
+    es_turn turn;
     void (*react)(void);
     es_term *terms;
-    uint32_t pace, phase, since;
     uint8_t n_terms, part, dark;
-    bool guards, due, blind, started;
+    bool guards, blind, started;
 } es_task;
 
 typedef struct { /* what a reaction may do with an actuator */
@@ -176,9 +180,9 @@ static bool es_try(void (*decide)(void), uint8_t part)
 
 ES_SHARED void es_clock(es_task *task)
 {
-    es_elapsed = task->started ? task->since : 0;
+    es_elapsed = task->started ? task->turn.age : 0;
     task->started = true;
-    task->since = 0;
+    task->turn.age = 0;
 }
 
 /* Send a command of somebody, or the safe one, which is tried again at each step. */
@@ -274,7 +278,7 @@ static void es_settle(es_output *o, uint32_t late)
         if (!o->n_guards) o->steady = best;
     }
     if (age >= o->timeout) o->writer = NULL; /* before a guard looks at what it stopped */
-    if (still) es_tell(o, best->command, o->writer);
+    if (still) es_tell(o, o->safe, o->writer);
     else if (best != NULL || o->news) es_review(o, best);
     if (o->stands && o->writer == NULL) es_tell(o, NULL, NULL);
 }
@@ -309,23 +313,25 @@ ES_SHARED void es_ask(es_port *port, bool some)
     if (!some && port->output->holder == port) port->output->holder = NULL;
 }
 
-ES_SHARED bool es_due(uint32_t pace, uint32_t *phase)
-{
-    if (pace >= ES_EVERY) return true;
-    if (*phase < ES_EVERY) return false;
-    *phase -= ES_EVERY;
-    return true;
-}
-
 ES_SHARED void es_grow(uint32_t *age, uint32_t gap)
 {
-    *age = *age + gap < ES_OLD ? *age + gap : ES_OLD;
+    uint32_t now = *age + gap;
+    *age = now < ES_OLD ? now : ES_OLD;
 }
 
-ES_SHARED void es_turn(uint32_t pace, uint32_t *phase)
+/* Let a part be older by a period; its next turn may be in the step after that. */
+ES_SHARED void es_pass(es_turn *turn, uint32_t gap)
 {
-    if (pace < ES_EVERY) *phase += pace;
-    if (*phase >= 2 * ES_EVERY) *phase -= ES_EVERY;
+    es_grow(&turn->age, gap);
+    if (turn->pace == 0 || turn->pace >= ES_EVERY) return;
+    turn->phase += turn->pace;
+    if (turn->phase >= 2 * ES_EVERY) turn->phase -= ES_EVERY;
+}
+
+ES_SHARED void es_begin(es_turn *turn)
+{
+    turn->due = turn->pace >= ES_EVERY || turn->phase >= ES_EVERY;
+    if (turn->phase >= ES_EVERY && turn->pace < ES_EVERY) turn->phase -= ES_EVERY;
 }
 
 static void es_advance(void) /* by one period */
@@ -338,14 +344,8 @@ static void es_advance(void) /* by one period */
     }
     es_now += gap;
     if (es_now > INT32_MAX) es_ancient = true;
-    for (es_input *s = es_inputs; s < es_inputs + ES_INPUTS; s++) {
-        es_grow(&s->age, gap);
-        es_turn(s->pace, &s->phase);
-    }
-    for (es_task *t = es_tasks; t < es_tasks + ES_TASKS; t++) {
-        es_grow(&t->since, gap);
-        es_turn(t->pace, &t->phase);
-    }
+    for (es_input *s = es_inputs; s < es_inputs + ES_INPUTS; s++) es_pass(&s->turn, gap);
+    for (es_task *t = es_tasks; t < es_tasks + ES_TASKS; t++) es_pass(&t->turn, gap);
     for (es_output *o = es_outputs; o < es_outputs + ES_OUTPUTS; o++) es_grow(&o->age, gap);
 }
 
@@ -362,10 +362,10 @@ static void es_end_sight(es_task *task)
 /* Look whether a reaction sees all that it needs; *news: whether there is a new reading. */
 static bool es_sees(es_task *task, bool *news)
 {
-    bool at_news = task->pace == 0;
-    *news = !at_news && task->due;
+    bool at_news = task->turn.pace == 0;
+    *news = !at_news && task->turn.due;
     for (es_term *term = task->terms; term < task->terms + task->n_terms; term++) {
-        uint32_t age = term->source->age;
+        uint32_t age = term->source->turn.age;
         bool there = age <= term->max_age;
         if (age == 0) {
             if (at_news) *news = true;
@@ -405,14 +405,13 @@ static void es_decide(es_task *task)
 
 void robot_step(void)
 {
-    for (es_input *s = es_inputs; s < es_inputs + ES_INPUTS; s++)
-        s->due = es_due(s->pace, &s->phase);
-    for (es_task *t = es_tasks; t < es_tasks + ES_TASKS; t++) t->due = es_due(t->pace, &t->phase);
+    for (es_input *s = es_inputs; s < es_inputs + ES_INPUTS; s++) es_begin(&s->turn);
+    for (es_task *t = es_tasks; t < es_tasks + ES_TASKS; t++) es_begin(&t->turn);
     for (es_task *t = es_tasks; t < es_tasks + ES_TASKS; t++)
         for (; t->dark > 0; t->dark--) es_end_sight(t);
     for (es_input *s = es_inputs; s < es_inputs + ES_INPUTS; s++)
-        if (s->due) {
-            if (s->take()) s->age = 0;
+        if (s->turn.due) {
+            if (s->take()) s->turn.age = 0;
             else es_note(s->part);
         }
     for (es_task *t = es_tasks; t < es_tasks + ES_TASKS; t++) es_decide(t);
@@ -455,7 +454,7 @@ void robot_open(void)
 {
     es_now = es_rest = 0;
     es_ancient = false;
-    for (int i = 0; i < ES_INPUTS; i++) es_inputs[i].age = ES_OLD;
+    for (int i = 0; i < ES_INPUTS; i++) es_inputs[i].turn.age = ES_OLD;
     for (int i = 0; i < ES_TASKS; i++) {
         es_tasks[i].started = es_tasks[i].blind = false;
         es_tasks[i].dark = 0;
