@@ -385,14 +385,21 @@ class TurnLoop(asyncio.SelectorEventLoop):
             elif gap < NEVER:
                 timeout = gap if timeout is None else min(timeout, gap)
         events = self._select(timeout)
-        if self._alarm is not None and events:
+        if self._alarm is not None and events:  # hot: as `_look`
+            self._alarm.heard(events)
+        return events
+
+    def _look(self, timeout: float) -> Any:
+        """Return what there is for asyncio: a thread of the robot's may ring."""
+        events = self._select(timeout)
+        if self._alarm is not None:
             self._alarm.heard(events)
         return events
 
     def _replay(self, timeout: float | None) -> Any:
         turn, player = self._turn, self.player
         assert player is not None
-        events = self._select(0.0)
+        events = self._look(0.0)
         turn.number += 1
         moment = None if player.is_over else player.next_turn()
         if moment is not None:
@@ -410,7 +417,7 @@ class TurnLoop(asyncio.SelectorEventLoop):
         gap = max(0.0, min(turn.gap(), math.inf if timeout is None else timeout))
         if gap == 0.0:
             return ()
-        events = self._select(0.001)  # what threads still do
+        events = self._look(0.001)  # what threads still do
         if not (events or turn.door.has_news) and gap < math.inf:
             self._now += gap
         return events
