@@ -5,8 +5,9 @@ from typing import Unpack
 import esair
 from esair.buses import SerialBus
 from esair.resources import ActuatorSettings
+from esair.watchdog import SafeFrames
 
-MOVE, POSITION = 1, 28
+MOVE, STOP, POSITION = 1, 12, 28
 STEP = 0.24  # degrees
 
 
@@ -20,6 +21,9 @@ class BusServo(esair.Actuator[float]):
 
     def __init__(self, *, number: int, **settings: Unpack[ActuatorSettings]) -> None:
         super().__init__(**settings)
+        if number not in range(254):
+            told = f"expected 0 to 253, not {number!r:.80}"
+            raise esair.ConfigError(self.name, "number", told)
         self.number = number
         self.claim = f"servo {number}"
 
@@ -31,6 +35,10 @@ class BusServo(esair.Actuator[float]):
         data = round(angle / STEP).to_bytes(2, "little") + bytes(2)
         await self.bus.send(bytes([self.number, MOVE]) + data)
         return angle
+
+    def safe_frames(self) -> SafeFrames:
+        stop = self.bus.framing.encode(bytes([self.number, STOP]))
+        return SafeFrames([stop], repeat=3)  # one may end what was cut in half
 
     async def angle(self) -> float:
         """Ask it for its angle."""

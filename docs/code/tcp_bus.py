@@ -1,4 +1,4 @@
-"""A fourth kind of bus in one file: lines over TCP, a request and its answer."""
+"""One more kind of bus in one file: lines over TCP, a request and its answer."""
 
 import asyncio
 

@@ -99,7 +99,7 @@ class TestBusServo(ActuatorContract):
     keeps_nothing = "each command says all that it needs"
 
     def make(self) -> BusServo:
-        line = FakeSerial(framing=FRAMING)
+        line = FakeSerial(framing=FRAMING, echo=True)
         self.far = FarServo(line)
         return BusServo(number=3, bus=line)
 
@@ -114,6 +114,20 @@ class TestBusServo(ActuatorContract):
 
     async def power_cycle(self, device: BusServo) -> None:
         self.far.has_power = True  # it keeps nothing that it would lose
+
+
+async def test_the_safe_frames_of_the_servo_are_framed() -> None:
+    """Head, number, length, command, checksum: as in the protocol's table."""
+    servo = TestBusServo().make()
+
+    assert servo.safe_frames().frames == (bytes.fromhex("55 55 03 03 0C ED"),)
+
+
+@pytest.mark.parametrize("number", [-1, 254, "3"])
+def test_a_keyword_that_is_wrong_names_the_part_and_the_field(number: Any) -> None:
+    """As each mistake in a robot.toml does."""
+    with pytest.raises(esair.ConfigError, match="bus_servo: number: expected 0 to 253"):
+        BusServo(number=number)
 
 
 def test_what_the_page_says_of_a_bus_is_there() -> None:

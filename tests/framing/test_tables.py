@@ -93,7 +93,7 @@ async def test_an_echo_is_no_answer() -> None:
     table = {"type": "length-crc", **LX16A}
     line = FakeSerial(name="servos", framing=table, echo=True)
     answer = LengthCrc(**LX16A).encode(bytes.fromhex("01 1C F4 01"))
-    line.on_write = lambda data: data + answer
+    line.on_frame = lambda _message: bytes.fromhex("01 1C F4 01")
     await line.open()
 
     for _ in range(3):
@@ -102,6 +102,7 @@ async def test_an_echo_is_no_answer() -> None:
         )
     assert line.stats.bad_frames == 0
 
+    line.on_frame = None
     line.on_write = lambda data: b"\0" + data[1:] + answer  # two spoke at once
     assert await line.ask(bytes.fromhex("01 1C"), prefix=b"\x01") == (
         bytes.fromhex("01 1C F4 01")

@@ -10,7 +10,14 @@ from typing import Any
 import pytest
 
 import esair
-from esair.testing import ActuatorContract, FakeActuator, FakeSensor, SensorContract
+from esair.buses import SerialBus
+from esair.testing import (
+    ActuatorContract,
+    FakeActuator,
+    FakeSensor,
+    FakeSerial,
+    SensorContract,
+)
 
 
 class PackageError(Exception):
@@ -271,6 +278,47 @@ async def test_a_failure_says_what_to_write(test: str, told: str) -> None:
 
     with pytest.raises(AssertionError, match=told):
         await getattr(Suite(), test)()
+
+
+class Forgetful(esair.Actuator[float]):
+    """It sends what is new, and takes its safe command for what was there before."""
+
+    bus: SerialBus
+    safe = 0.0
+
+    async def write(self, command: float) -> None:
+        if command != self.safe:
+            await self.bus.send(b"%g" % command)
+
+
+class Remembering(esair.Sensor[float]):
+    """It gives what it has heard at its opening."""
+
+    bus: SerialBus
+
+    async def read(self) -> float:
+        return 1.0
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.parametrize(
+    ("suite", "device", "told"),
+    [
+        (ActuatorContract, Forgetful, "the safe command has to be sent to the device"),
+        (SensorContract, Remembering, "ask the device each time"),
+    ],
+)
+async def test_who_reaches_no_far_end_is_told_so(
+    suite: Any, device: Any, told: str
+) -> None:
+    """Without its cable nothing fails: what to write is in the failure."""
+
+    class Suite(suite):  # type: ignore[misc]
+        def make(self) -> Any:
+            return device(bus=FakeSerial())
+
+    with pytest.raises(AssertionError, match=told):
+        await Suite().test_it_says_when_it_is_gone()
 
 
 @pytest.mark.virtual_clock

@@ -16,7 +16,9 @@ from esair.testing._threads import BlockedError
 if TYPE_CHECKING:
     from esair.buses.can import FakeCan
     from esair.buses.i2c import FakeI2c
+    from esair.buses.mqtt import FakeMqtt
     from esair.buses.serial import FakeSerial
+    from esair.buses.spi import FakeSpi
     from esair.testing._bus_contract import BusContract
     from esair.testing._contracts import (
         ActuatorContract,
@@ -33,8 +35,10 @@ __all__ = [
     "FakeActuator",
     "FakeCan",
     "FakeI2c",
+    "FakeMqtt",
     "FakeSensor",
     "FakeSerial",
+    "FakeSpi",
     "GatewayContract",
     "Leaks",
     "LivelockError",

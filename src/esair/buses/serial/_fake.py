@@ -308,6 +308,9 @@ class FakeSerial(Fake[bytes, bytes], SerialBus):
     Args:
         name: Its name.
         framing: What a message is, as for `SerialBus`; in both directions.
+        echo: Whether there is one wire for both directions: what the robot writes comes
+            back to it, before any answer. An ``on_write`` of the test makes the echo itself,
+            as part of what it returns, so that it can be damaged or missing.
         **options: What else `SerialBus` takes, such as ``write_timeout``.
 
     Attributes:
@@ -336,10 +339,15 @@ class FakeSerial(Fake[bytes, bytes], SerialBus):
         name: str = "serial",
         *,
         framing: Framing | str | Mapping[str, Any] = "lines",
+        echo: bool = False,
         **options: Any,
     ) -> None:
         super().__init__(
-            name=name, framing=framing, wire=LateWire(self._reach), **options
+            name=name,
+            framing=framing,
+            wire=LateWire(self._reach),
+            echo=echo,
+            **options,
         )
         self._begin(SENT_LIMIT)
         self.written: bytes = b""
@@ -514,7 +522,8 @@ class FakeSerial(Fake[bytes, bytes], SerialBus):
 
     def _heard(self, data: bytes) -> None:
         self.written = (self.written + data)[-WRITTEN_LIMIT:]
-        if self.on_write is not None and (back := self.on_write(data)):
+        echo = data if self._echoes else None
+        if back := self.on_write(data) if self.on_write is not None else echo:
             self.feed(back)
         for message in self._far_framing.feed(data):
             self.sent.append(message)
