@@ -287,7 +287,10 @@ class AskMachine(RuleBasedStateMachine):
         members = self.robot._behaviors.members.values()
         waiting = sum(q.count for m in members for q in m.mail.queues.values())
         assert waiting <= len(self.pending())
-        assert all(isinstance(each.outcome, Outcome) for each in mediator.outcomes())
+        assert all(
+            isinstance(each.outcome, Outcome)
+            for each in self.robot.behaviors.outcomes()
+        )
 
     @invariant()
     def nothing_was_reported_to_the_loop(self) -> None:

@@ -11,9 +11,11 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from typing import (
     TYPE_CHECKING,
     Any,
+    Concatenate,
     Final,
     Literal,
     NamedTuple,
+    ParamSpec,
     Protocol,
     TypeVar,
     cast,
@@ -156,6 +158,8 @@ class BlockingBehaviors(Waits):
 
 A = TypeVar("A")
 T = TypeVar("T")
+R = TypeVar("R")
+P = ParamSpec("P")
 
 if TYPE_CHECKING:
     import typing_extensions
@@ -573,16 +577,35 @@ def _in_thread(behavior: Behavior) -> tuple[Portal, Behavior]:
     return portal_of(behavior), behavior
 
 
+def _waits(
+    method: Callable[Concatenate[Behavior, P], Awaitable[R]],
+) -> Callable[[object], Callable[Concatenate[Any, P], R]]:
+    """Return what makes a method wait in the thread: pyright overrides one by a method only."""
+    return lambda _declared: waits(method, _in_thread)
+
+
 class BlockingCalls:
     """What the thread of a behavior calls; parameters and results are those of `Behavior`."""
 
-    put: Final = waits(Behavior.put, _in_thread)
-    get: Final = waits(Behavior.get, _in_thread)
-    ask: Final = waits(Behavior.ask, _in_thread)
-    receive: Final = waits(Behavior.receive, _in_thread)
-    receive_from: Final = waits(Behavior.receive_from, _in_thread)
+    @_waits(Behavior.put)
+    def put(self) -> None: ...
+
+    @_waits(Behavior.get)
+    def get(self) -> None: ...
+
+    @_waits(Behavior.ask)
+    def ask(self) -> None: ...
+
+    @_waits(Behavior.receive)
+    def receive(self) -> None: ...
+
+    @_waits(Behavior.receive_from)
+    def receive_from(self) -> None: ...
+
     offer: Final = calls(Behavior.offer, _in_thread)
-    stop_robot: Final = waits(Behavior.stop_robot, _in_thread)
+
+    @_waits(Behavior.stop_robot)
+    def stop_robot(self) -> None: ...
 
     @overload
     def perform(
