@@ -69,8 +69,8 @@ def network(me: str, peer: str, certificates: str) -> Network:
     end = f"{'tls' if certificates else 'tcp'}/{ADDRESSES['base']}:7447"
     ends: dict[str, Any] = {"listen" if me == "base" else "connect": [end]}
     if certificates:
-        files = [Path(certificates) / each for each in ("ca.pem", f"{me}.pem")]
-        ends["tls"] = Tls(*files, Path(certificates) / f"{me}.key")
+        there = Path(certificates)
+        ends["tls"] = Tls(there / "ca.pem", there / f"{me}.pem", there / f"{me}.key")
     return Network(me=me, peers=[peer], insecure=True, **ends)
 
 

@@ -205,7 +205,9 @@ async def test_who_does_not_read_is_looked_at_by_one_timer():
     """However often something happens meanwhile, there is one look at its room."""
     loop, journal = asyncio.get_running_loop(), Journal()
     console = types.SimpleNamespace(robot=types.SimpleNamespace(journal=journal))
-    slow = types.SimpleNamespace(console=console, gone=False, unread=1 << 20, dropped=0)
+    slow: Any = types.SimpleNamespace(
+        console=console, gone=False, unread=1 << 20, dropped=0
+    )
     journal.start(loop)
     feed = FEEDS["view"](slow, Message("a", "view", {}))
     feed.start()
