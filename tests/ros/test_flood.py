@@ -98,7 +98,8 @@ def test_a_robot_that_does_not_listen_is_given_up() -> None:
     scans, commands, images, more = [list(map(int, each.split())) for each in counts]
     assert scans[0] < 5000  # what a socket keeps, and what waits
     assert scans[1] <= SHARE
-    assert commands[0] == SHARE  # others have taken nothing of it
+    assert commands[0] >= SHARE  # others have taken nothing of it
+    assert commands[1] <= 2 * SHARE
     assert images[0] <= 3
     assert images[2] < KEPT + (1 << 20)  # the last of them came when there was room
     assert more[0] == 1

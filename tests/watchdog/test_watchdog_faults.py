@@ -112,7 +112,10 @@ def looks_of(dog: Watchdog) -> int:
 
 def lines_of(dog: Watchdog) -> list[str]:
     """Return which terminals it holds open."""
-    held = [os.readlink(each) for each in Path(f"/proc/{pid_of(dog)}/fd").iterdir()]
+    held = []
+    for each in Path(f"/proc/{pid_of(dog)}/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):  # it has just let it go
+            held.append(os.readlink(each))
     return [each for each in held if each.startswith("/dev/pts/")]
 
 
