@@ -150,8 +150,12 @@ def test_a_frozen_process_stays_stopped() -> None:
         while b"STOP" not in victim.data and time.monotonic() < end:
             victim.hear(time.monotonic() + 0.2)
         assert victim.data.endswith(b"STOP\n")
-        state = Path(f"/proc/{victim.process.pid}/stat").read_text("ascii")
-        assert state.rpartition(")")[2].split()[0] == "T"
+        about, state = Path(f"/proc/{victim.process.pid}/stat"), ""
+        while state != "T" and time.monotonic() < end:  # it stops when it has its turn
+            victim.hear(time.monotonic() + 0.05)
+            state = about.read_text("ascii").rpartition(")")[2].split()[0]
+        assert state == "T"
+        assert victim.data.endswith(b"STOP\n")
     finally:
         victim.close()
 
