@@ -79,8 +79,8 @@ async def rows() -> list[Row]:
         found = []
         for case, operation, goal in (
             ("P3 read, the newest reading will do", read, 0.06),
-            ("P4 write of a number", write, 0.2),
-            ("P4 write of a number, plain driver", write_plain, 0.1),
+            ("P4 write of a number", write, 0.3),
+            ("P4 write of a number, plain driver", write_plain, 0.25),
             ("P4 write of a command with two fields", write_twist, None),
         ):
             mine, limit, ratio = await neighbors(operation, future_round_trip)
