@@ -58,7 +58,7 @@ async def test_what_ros_has_cancelled_is_forgotten() -> None:
 
 
 STALLED = """
-import importlib.util, socket, sys
+import importlib.util, socket, sys, time
 spec = importlib.util.spec_from_file_location("child", sys.argv[1])
 child = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(child)
@@ -71,7 +71,13 @@ deaf, robot = socket.socketpair()
 box = child.Outbox(robot.sendall, end)
 def flood(topic, size):
     frame = ["reading", 1, 1, 1, 1, 0.0, topic, 0.0, "x" * size]
-    taken = sum(box.send(frame) for _ in range(5000))
+    taken = 0
+    while True:
+        taken += sum(box.send(frame) for _ in range(5000))
+        there = box.waiting.qsize()
+        time.sleep(0.1)
+        if box.waiting.qsize() == there > 0:
+            break  # the socket takes no more
     print(taken, box.waiting.qsize(), box.room.bytes, flush=True)
 
 flood("/scan", 1000)
@@ -98,8 +104,7 @@ def test_a_robot_that_does_not_listen_is_given_up() -> None:
     scans, commands, images, more = [list(map(int, each.split())) for each in counts]
     assert scans[0] < 5000  # what a socket keeps, and what waits
     assert scans[1] <= SHARE
-    assert commands[0] >= SHARE  # others have taken nothing of it
-    assert commands[1] <= 2 * SHARE
+    assert commands[0] == SHARE  # others have taken nothing of it
     assert images[0] <= 3
     assert images[2] < KEPT + (1 << 20)  # the last of them came when there was room
     assert more[0] == 1

@@ -121,14 +121,19 @@ def test_safe_is_the_last_thing_on_the_wire(way: str) -> None:
 @pytest.mark.fault("O04", "O12")
 def test_the_watchdog_outlives_a_robot_that_is_out_of_memory() -> None:
     """The kernel kills the one that has taken it all, in a group that both belong to."""
-    with cgroup_of(OOM_BYTES) as group:
-        victim, errors = run("oom", "kill", str(group))
-        assert victim.process.returncode == -signal.SIGKILL
-        assert killed_in(group) == 1
-    assert victim.data.endswith(b"STOP\n")
-    # A large process goes bit by bit: on a busy computer its end of the line goes first.
-    gone = "its process died|its robot is gone, its process is not"
-    assert re.fullmatch(rf"esair watchdog: ({gone}): wheels safe, after .*\n", errors)
+    for _ in range(TRIES):
+        with cgroup_of(OOM_BYTES) as group:
+            victim, errors = run("oom", "kill", str(group))
+            assert victim.process.returncode == -signal.SIGKILL
+            assert killed_in(group) == 1
+        assert victim.data.endswith(b"STOP\n")
+        # On a busy computer the kernel is not soon done with a process that is so large:
+        # then the end of its line is seen before its own.
+        if "its robot is gone, its process is not: wheels safe" not in errors:
+            break
+    assert re.fullmatch(
+        r"esair watchdog: its process died: wheels safe, after .*\n", errors
+    )
 
 
 @pytest.mark.promise("GRD-3")
