@@ -7,6 +7,7 @@ import compileall
 import contextlib
 import importlib.abc
 import importlib.util
+import inspect
 import os
 import shutil
 import signal
@@ -21,6 +22,7 @@ from tests.leaks import OwnLeaks
 
 import esair
 from esair.testing import ActuatorContract, SensorContract
+from esair.testing.plugin import uses_kit
 
 pytest_plugins = ["pytester"]
 
@@ -81,6 +83,12 @@ def pytest_collection_modifyitems(
     on one worker, one test after the other, and those of other files meanwhile.
     """
     for item in items:
+        if inspect.iscoroutinefunction(getattr(item, "obj", None)) and not uses_kit(
+            item
+        ):
+            raise pytest.UsageError(
+                f"{item.nodeid}: mark it virtual_clock or real_clock"
+            )
         where = getattr(item, "callspec", None)
         if where is not None and where.params.get("place") == "process":
             item.add_marker("long")  # each has a process to start

@@ -174,6 +174,7 @@ def test_a_policy_can_be_exclusive_and_limit_priorities(project) -> None:
     assert policy.max_priority == {"avoid": 20, "*": 5}
 
 
+@pytest.mark.virtual_clock
 @pytest.mark.promise("BEH-6")
 async def test_a_file_says_who_may_manage_behaviors(project) -> None:
     """The table of the word that no resource has."""

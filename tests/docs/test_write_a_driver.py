@@ -116,6 +116,7 @@ class TestBusServo(ActuatorContract):
         self.far.has_power = True  # it keeps nothing that it would lose
 
 
+@pytest.mark.virtual_clock
 async def test_the_safe_frames_of_the_servo_are_framed() -> None:
     """Head, number, length, command, checksum: as in the protocol's table."""
     servo = TestBusServo().make()

@@ -19,6 +19,7 @@ class Steer(esair.Reaction):
         return 0.5
 
 
+@pytest.mark.virtual_clock
 async def test_equal_wheels_go_straight_and_opposite_ones_turn() -> None:
     """Half a turn on the spot, then back by what was driven."""
     odometry = Odometry()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import weakref
 
+import pytest
+
 from esair.loop import Scheduler, ignore
 
 
@@ -12,6 +14,7 @@ class Part:
     """Something that a step looks at."""
 
 
+@pytest.mark.virtual_clock
 async def test_a_stopped_job_keeps_nothing_that_its_step_looked_at() -> None:
     scheduler = Scheduler.of(asyncio.get_running_loop())
     stays = scheduler.every(0.01, ignore, name="stays")

@@ -37,6 +37,7 @@ def wired() -> MemoryLine:
     return line
 
 
+@pytest.mark.virtual_clock
 @pytest.mark.promise("BUS-1", "RS-3")
 async def test_another_bus_gets_the_port_of_the_one_that_was_replaced() -> None:
     """The port has one owner at a time, and is free when that one goes."""
@@ -53,6 +54,7 @@ async def test_another_bus_gets_the_port_of_the_one_that_was_replaced() -> None:
         assert (old.is_open, new.is_open) == (False, True)
 
 
+@pytest.mark.virtual_clock
 @pytest.mark.promise("BUS-1")
 async def test_a_bus_is_open_as_long_as_one_of_its_devices_is_there() -> None:
     """The last one that is removed closes it, and the next one opens it again."""
@@ -96,6 +98,7 @@ def test_one_that_is_added_as_the_last_one_goes_has_an_open_bus(turns: int) -> N
             assert loop.run(added_beside(turns)) == (ResourceState.READY, 0, True)
 
 
+@pytest.mark.virtual_clock
 @pytest.mark.promise("BUS-1", "ROB-2")
 async def test_the_stop_closes_the_bus_of_what_came_later() -> None:
     """A bus that no device of the start was on; it is counted as the others are."""

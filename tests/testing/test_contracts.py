@@ -40,6 +40,7 @@ class Foreign(esair.Sensor[float]):
         raise PackageError("gone")
 
 
+@pytest.mark.virtual_clock
 async def test_errors_of_a_package_are_named_once() -> None:
     """In plain methods, coroutines and streams; others stay what they are."""
     device = Foreign(name="far")

@@ -272,6 +272,7 @@ async def test_a_file_that_a_thread_reads_just_now_is_no_leak():
     reader.join()
 
 
+@pytest.mark.virtual_clock
 async def test_a_thread_that_is_just_being_started_is_waited_for():
     """Python lists it before it can be joined."""
     go = threading.Event()

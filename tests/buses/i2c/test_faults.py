@@ -316,6 +316,7 @@ async def test_all_devices_on_a_stuck_bus_are_stale(fake_i2c) -> None:
         assert await user.right.read() == 2
 
 
+@pytest.mark.virtual_clock
 @pytest.mark.fault("I06")
 async def test_a_chip_of_a_driver_of_the_kernel_is_not_taken(
     tmp_path, monkeypatch

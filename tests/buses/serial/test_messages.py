@@ -82,6 +82,7 @@ async def test_each_opening_begins_with_a_clean_decoder(line: FakeSerial) -> Non
 # Echo.
 
 
+@pytest.mark.virtual_clock
 @pytest.mark.promise("BUS-3")
 async def test_what_was_thrown_away_has_no_echo() -> None:
     """Else the echo of the next request would be taken for its answer."""
@@ -100,6 +101,7 @@ async def test_what_was_thrown_away_has_no_echo() -> None:
     await line.close()
 
 
+@pytest.mark.virtual_clock
 async def test_a_fake_with_one_wire_echoes_before_it_answers() -> None:
     """Without an echo the head of an answer, which is that of the request, went away."""
     line = FakeSerial("servos", echo=True)
@@ -118,6 +120,7 @@ async def test_a_fake_with_one_wire_echoes_before_it_answers() -> None:
     await line.close()
 
 
+@pytest.mark.virtual_clock
 async def test_an_echo_that_never_comes_is_not_kept_for_ever() -> None:
     """A line that was said to have one, and has none, costs no memory."""
     line = FakeSerial("servos", echo=True)
