@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import sys
-from types import CodeType, FunctionType
+from types import FunctionType
 from typing import Any
 
 from tests.mutation.mutants import Mutant
@@ -17,7 +17,7 @@ def loaded_functions() -> dict[tuple[Any, ...], list[FunctionType]]:
     found: dict[tuple[Any, ...], list[FunctionType]] = {}
     for each in gc.get_objects():
         if isinstance(each, FunctionType):
-            found.setdefault(_place(each.__code__), []).append(each)
+            found.setdefault(_place(each), []).append(each)
     return found
 
 
@@ -36,7 +36,7 @@ def put_in(mutant: Mutant, loaded: dict[tuple[Any, ...], list[FunctionType]]) ->
     exec(mutant.compile(), beside)
     for new in gc.get_objects():  # what is older is frozen
         if isinstance(new, FunctionType):
-            for old in loaded.get(_place(new.__code__), ()):
+            for old in loaded.get(_place(new), ()):
                 old.__code__ = new.__code__
                 old.__defaults__ = new.__defaults__
                 old.__kwdefaults__ = new.__kwdefaults__
@@ -56,5 +56,8 @@ def put_in(mutant: Mutant, loaded: dict[tuple[Any, ...], list[FunctionType]]) ->
                     setattr(user, name, made)
 
 
-def _place(code: CodeType) -> tuple[Any, ...]:
-    return code.co_filename, code.co_qualname, code.co_firstlineno
+def _place(function: FunctionType) -> tuple[Any, ...]:
+    # By its own name, too: all named tuples are made of one line of one string.
+    code = function.__code__
+    name = function.__module__, function.__qualname__
+    return *name, code.co_filename, code.co_qualname, code.co_firstlineno
