@@ -33,7 +33,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Kind
-from esair.loop import CallRefused, ask_outside, clock_beside
+from esair.loop import REACHED, CallRefused, ask_outside, clock_beside
 from esair.messages import Answer, Refused, ResourceState, Why, Written
 from esair.resources import Actuator
 
@@ -332,7 +332,7 @@ class ActuatorChannel(Device):
         if wire.slews or wire.watch is not None:
             command = self._bounded(command, now)
         # `Hold` takes it here, in place.  # hot
-        if holder is not registration or now >= held.begun + held.seconds:
+        if holder is not registration or now + REACHED >= held.begun + held.seconds:
             held.since = now
         held.holder = held.writer = registration
         held.begun = held.written = now
