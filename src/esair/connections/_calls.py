@@ -272,7 +272,7 @@ UNWIND = 0.1
 """How long a call that was given up may take to end, before its device is closed, in s."""
 
 ABANDONED_LIMIT = 8
-"""How many abandoned calls of one device may be alive; with more, none is begun."""
+"""How many abandoned calls of one device may be alive; with so many, none is begun."""
 
 
 class Calls:
@@ -353,7 +353,7 @@ class Calls:
         guard: Guard | None = None,
     ) -> Any:
         self.number += 1
-        if self.alive and len(self.alive) > ABANDONED_LIMIT:
+        if len(self.alive) >= ABANDONED_LIMIT:
             self._check_abandoned(kind)
         tape = self._door.tape
         if tape is not None:
@@ -592,11 +592,11 @@ class Calls:
             self._deadline.cancel()
 
     def _expire(self) -> None:
-        now = self._time() + REACHED
+        now = self._time()
         for call in tuple(self.alive.values()):
             if call.outcome is not None:
                 continue
-            if call.until > now:
+            if now + REACHED < call.until:
                 self._deadline.start_by(call.until)
             else:
                 in_line = waits_in_line(call.engine, call.limit / 2)

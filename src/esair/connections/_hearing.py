@@ -320,11 +320,11 @@ class WaitingReaders:
             self._deadline.cancel()
 
     def _expire(self) -> None:
-        now = self._time() + REACHED
+        now = self._time()
         for _, future, until, timeout in self.readers:
             if future.done():
                 continue
-            if until > now:
+            if now + REACHED < until:
                 self._deadline.start_by(until)
             else:
                 future.set_exception(self._silent(timeout))
