@@ -466,10 +466,8 @@ class DerivedChannel(SensorChannel):
         else:
             value = Stamped(value, oldest)
         before = self.max_age, self.sequence
-        if isinstance(time, float) and stale_at < math.inf:
+        if isinstance(time, float):
             self.max_age = stale_at - time  # that of this very reading
-        else:
-            self.max_age = math.inf
         self.publish(value, math.inf)
         if self.sequence != before[1]:
             return True

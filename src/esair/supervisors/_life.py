@@ -200,7 +200,7 @@ def living(owner: Owner) -> list[asyncio.Task[Any]]:
 async def until_ended(tasks: list[asyncio.Task[Any]], grace: float) -> None:
     """Wait for tasks that were cancelled, if there are any."""
     if tasks:
-        await asyncio.wait(tasks, timeout=grace if grace > 0 else 0.001)
+        await asyncio.wait(tasks, timeout=max(grace, 0.001))
 
 
 def cancel(owner: Owner) -> None:
