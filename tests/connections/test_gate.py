@@ -12,7 +12,7 @@ import pytest
 
 import esair
 from esair.connections import Halt, Protection, Registration, Terms
-from esair.connections._gate import BeingReplacedError, Gate, Hold, verdict
+from esair.connections._gate import BeingReplacedError, Gate, Hold, explain, verdict
 from esair.messages import Access, Refused, ResourceState
 
 pytestmark = pytest.mark.promise("AC-3", "PRO-6", "PRO-2")
@@ -39,6 +39,7 @@ class Device:
     def __init__(self) -> None:
         self.name = "wheels"
         self.state = ResourceState.READY
+        self.time = lambda: NOW
         self.error: esair.EsairError | None = None
         self.registrations: Any = SimpleNamespace(
             halt=None,
@@ -193,3 +194,35 @@ def test_a_ticket_is_void_once_anything_has_shut_the_gate(change: str) -> None:
         setattr(gate, change, getattr(gate, change) + 1)
     assert not may()
     assert stands() is (change == "right")
+
+
+def test_who_is_told_to_hold_it_is_who_keeps_commands_away() -> None:
+    """A blind hold before a holder of its own priority, a holder above it before that."""
+    for priority, by in ((4, "other"), (5, "other"), (6, OWN)):
+        device: Any = Device()
+        gate, held = Gate(device), Hold()
+        gate.holds = (hold("other", 5),)
+        held.holder, held.begun, held.seconds = right(OWN, priority), NOW, 1.0
+        assert explain(gate, held, NOW, None, is_safe=False).holder == by
+
+
+def test_a_thread_may_begin_until_the_moment_when_its_command_expires() -> None:
+    """Unless the gate was shut meanwhile, or the right has ended."""
+    device: Any = Device()
+    gate = Gate(device)
+    for expires, may in (
+        (None, True),
+        (NOW + 0.5, True),
+        (NOW, True),
+        (NOW - 0.5, False),
+    ):
+        assert gate.ticket(None, expires)() is may
+    mine = right(OWN, 5)
+    for change in ("halts", "fence"):
+        ticket = gate.ticket(mine)
+        assert ticket()
+        setattr(gate, change, getattr(gate, change) + 1)
+        assert not ticket()
+    ticket = gate.ticket(mine)
+    mine.end(None)
+    assert not ticket()

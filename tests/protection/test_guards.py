@@ -477,6 +477,7 @@ async def test_the_user_may_mute_for_a_while() -> None:
             robot.behaviors.mute("g", 31.0, "out of the corner")
         with pytest.raises(esair.BadValueError, match="reason"):
             robot.behaviors.mute("g", 1.0, "")
+        robot.behaviors.mute("g", 30.0, "as long as its class lets")
         robot.behaviors.mute("g", 1.0, "out of the corner")
         why = str(robot.resources.why("wheels"))
         assert "MUTED" in why

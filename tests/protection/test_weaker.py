@@ -150,3 +150,11 @@ def test_a_choice_is_taken_as_a_whole() -> None:
     assert not is_weaker(Gear.BACK, Gear.DRIVE, Gear.PARK)
     assert weaker_of(Gear.DRIVE, Gear.PARK, Gear.PARK) is Gear.PARK
     assert weaker_of(Gear.DRIVE, Gear.BACK, Gear.PARK) is Gear.DRIVE
+
+
+def test_of_two_that_are_as_near_to_safe_what_stands_stays() -> None:
+    """On either side of it: nothing new is sent."""
+    assert weaker_of(1.0, -1.0, 0.0) == 1.0
+    assert weaker_of([-1.0, 2.0], [1.0, 1.0], [0.0, 0.0]) == [-1.0, 1.0]
+    assert weaker_of(3.0, 0.5, 2.0) == 3.0
+    assert weaker_of(0.0, 1.5, 2.0) == 1.5

@@ -76,6 +76,24 @@ def test_pauses_double_up_to_their_limit() -> None:
 
 
 @pytest.mark.promise("SUP-4")
+@pytest.mark.parametrize(("later", "counts"), [(0.0, True), (0.001, False)])
+def test_a_restart_counts_until_its_window_is_over(later: float, counts: bool) -> None:
+    """In that very moment still; and who is only retried has to last longer than it."""
+    policy = esair.Restart(max=1, within=8.0, delay=0.5)
+    budget = Life("any", policy, Journal())
+    assert budget.spend(1.0) == 0.5
+    assert budget.spend(9.0 + later) == (None if counts else 0.5)
+
+    policy = esair.Restart(max=1, within=8.0, delay=0.5, retry=4.0)
+    budget = Life("any", policy, Journal())
+    assert [budget.spend(1.0), budget.spend(1.0)] == [0.5, 4.0]
+    assert budget.retries
+    begins = 1.0 + 4.0
+    budget.spend(begins + 8.0 + later)
+    assert budget.retries is counts
+
+
+@pytest.mark.promise("SUP-4")
 @pytest.mark.fault("B02")
 async def test_after_a_crash_nothing_moves_before_a_fresh_command() -> None:
     """What it held is made safe at once; the next run writes anew."""
