@@ -460,12 +460,13 @@ async def test_an_operation_that_fails_says_so_once() -> None:
             await robot.resources.operate(mine, "clear_fault", code=7)
         await robot.resources.operate(mine, "home")
         await asyncio.sleep(0.01)
-    told = [
-        (each.component, each.peer, each.text.partition(":")[0])
-        for each in events
-        if each.kind is Kind.OPERATED
-    ]
-    assert told == [("lift", "me", "clear_fault"), ("lift", "me", "home")]
+    failed, went_well = [each for each in events if each.kind is Kind.OPERATED]
+    assert (failed.component, failed.peer) == ("lift", "me")
+    assert failed.text.startswith("clear_fault: ")
+    assert "fault 7 stays" in failed.text
+    assert isinstance(failed.value, esair.DeviceFaultError)
+    assert (went_well.component, went_well.peer) == ("lift", "me")
+    assert (went_well.text, went_well.value) == ("home", 0.25)
 
 
 async def test_operations_that_wait_are_bounded() -> None:

@@ -119,3 +119,22 @@ async def test_a_replacement_that_is_not_there_is_lost() -> None:
         await asyncio.sleep(1.0)
         with pytest.raises(esair.DeviceLostError, match="not plugged in"):
             await user.motor.write(0.5)
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("RS-5")
+async def test_what_nothing_took_the_place_of_is_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A replacement that fails half way leaves no device, and nobody waits for one."""
+    user: Any = esair.Behavior(name="user", writes={"motor": esair.writes(float)})
+
+    def fails(*_args: object) -> None:
+        raise OSError("no process can be made")
+
+    async with esair.Robot(resources=[Slow()], behaviors=[user]) as robot:
+        monkeypatch.setattr(robot.resources._deployment, "deploy", fails)
+        with pytest.raises(OSError, match="no process"):
+            await robot.resources.replace("motor", Slow())
+        with pytest.raises(esair.DeviceLostError, match="nothing took its place"):
+            await user.motor.write(0.5)
