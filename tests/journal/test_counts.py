@@ -11,6 +11,7 @@ import pytest
 import esair
 from esair.drivers.line import LineSensor
 from esair.journal import Journal, Kind
+from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = [pytest.mark.promise("TURN-5"), pytest.mark.virtual_clock]
 
@@ -42,6 +43,16 @@ class Wrong(Sonar):
 
     def counts(self) -> Mapping[str, Any]:
         return {"echoes": "many"}
+
+
+async def test_everything_is_counted_from_zero() -> None:
+    """Of what nobody has used nothing is told, of any kind of component."""
+    parts = FakeSensor("sonar", 1.0), FakeActuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[*parts], behaviors=[Idle()]) as robot:
+        counts = robot.journal.counts()
+    for name in ("sonar", "wheels", "resources", "idle", "behaviors"):
+        assert counts[name]
+        assert set(counts[name].values()) == {0}, name
 
 
 async def test_a_driver_counts_too() -> None:

@@ -420,3 +420,26 @@ def test_essential_and_retried_is_a_contradiction() -> None:
     assert told["other"] == "3 restarts in 30 s, then again every 300 s, for ever"
     assert told["plain"].endswith("it is FAILED: the others go on without it")
     assert told["turns"].endswith("it is FAILED: mode b follows a")
+
+
+@pytest.mark.promise("SUP-4", "RS-3")
+async def test_a_restart_without_its_resource_is_parked_until_that_is_there() -> None:
+    """What goes while a crash is waited out is missed by the next start."""
+
+    async def run(_behavior: object) -> None:
+        if behavior.begun == [0.0]:
+            raise RuntimeError("once")
+        await asyncio.sleep(1e6)
+
+    behavior = Scripted(run, reads={"sonar": esair.reads(float)}, name="a")
+    sonar = FakeSensor("sonar", 1.0)
+    async with esair.Robot(resources=[sonar], behaviors=[behavior]) as robot:
+        await asyncio.sleep(0.01)
+        assert robot.behaviors.query("a").state is State.RESTARTING
+        await robot.resources.remove("sonar")
+        await asyncio.sleep(1.0)
+        status = robot.behaviors.query("a")
+        assert (status.state, status.detail) == (State.PARKED, "sonar is not there")
+        await robot.resources.add(FakeSensor("sonar", 1.0))
+        await asyncio.sleep(0.01)
+        assert robot.behaviors.query("a").state is State.RUNNING
