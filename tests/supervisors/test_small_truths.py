@@ -60,6 +60,34 @@ async def test_who_answers_is_told_whether_somebody_waits() -> None:
         assert robot.journal.counts()["behaviors"]["late_answers"] == 3
 
 
+@pytest.mark.promise("BS-5", "BS-8")
+@pytest.mark.parametrize(("verb", "seconds"), [("put", 1.0), ("get", 1.0), ("ask", 10)])
+async def test_who_says_no_time_waits_for_so_many_seconds(
+    verb: str, seconds: float
+) -> None:
+    """A second for data, ten for an answer; exactly so long."""
+
+    class Deaf(esair.Behavior):
+        inbox_size = 1
+        jobs = esair.takes(Job)
+
+        async def run(self) -> None:
+            await asyncio.sleep(1e6)
+
+    async with esair.Robot(behaviors=[Deaf(name="worker")]) as robot:
+        there = robot.behaviors
+        await there.put(0, sender="user", receiver="worker")
+        request: Any = {
+            "put": lambda: there.put(1, sender="user", receiver="worker"),
+            "get": lambda: there.get(sender="worker", receiver="user"),
+            "ask": lambda: there.ask(Job(1), sender="user", receiver="worker"),
+        }[verb]
+        began = asyncio.get_running_loop().time()
+        with pytest.raises(esair.BehaviorUnavailableError, match=f"{seconds:g} s"):
+            await request()
+        assert asyncio.get_running_loop().time() == pytest.approx(began + seconds)
+
+
 @pytest.mark.promise("BS-8")
 async def test_an_answered_request_is_forgotten_long_before_its_timeout() -> None:
     """Neither its deadline nor its asker keeps it."""

@@ -559,6 +559,57 @@ async def test_only_one_that_was_parked_is_said_to_run(
     assert "idle: runs" not in caplog.text
 
 
+@pytest.mark.promise("RES-2", "SUP-4")
+async def test_the_log_has_a_line_for_each_change(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Of a device that goes and comes back, and of who uses it; and no line beside."""
+    caplog.set_level(logging.INFO, "esair")
+
+    class Stop(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float)
+        rate = 20.0
+
+        def react(self, sonar: float) -> float:
+            return 0.5
+
+    class Patrol(esair.Behavior):
+        sonar = esair.reads(float)
+        restart = esair.Restart(max=1, within=30.0)
+
+        async def run(self) -> None:
+            while True:
+                await self.sonar.read()  # type: ignore[attr-defined]
+                await asyncio.sleep(0.05)
+                if sonar.reads > 30:
+                    raise ValueError("enough")
+
+    sonar, wheels = (
+        FakeSensor("sonar", 1.0, rate=20.0),
+        FakeActuator("wheels", safe=0.0),
+    )
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Stop(), Patrol()]):
+        for _ in range(2):
+            await asyncio.sleep(0.5)
+            sonar.unplug()
+            await asyncio.sleep(0.5)
+            sonar.plug()
+        await asyncio.sleep(2.0)
+    told: dict[str, list[str]] = {}
+    for each in caplog.records:
+        name, _, line = each.getMessage().partition(": ")
+        told.setdefault(name, []).append(line)
+    lost, parked = "it was unplugged", "parked: sonar is not there"
+    assert told["sonar"] == [f"lost: device of 'sonar' is lost: {lost}", "back"] * 2
+    assert told["stop"][:5] == ["runs", f"parked: sonar lost: {lost}"] * 2 + ["runs"]
+    assert told["patrol"] == [
+        *[parked, "goes on: sonar is back"] * 2,
+        "failed: ValueError: enough; restart 1 in 0.1 s",
+        "failed for good, 1 restarts did not help: ValueError: enough",
+    ]
+
+
 @pytest.mark.promise("TURN-4")
 @pytest.mark.parametrize("verb", ["put", "get", "ask"])
 async def test_who_is_refused_at_once_gives_way_too(verb: str) -> None:
