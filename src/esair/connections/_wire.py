@@ -244,10 +244,7 @@ class Wire:
 
     def unsettled(self) -> Call | None:
         """Return a motion that is alive, and may still undo the safe command."""
-        alive = self._device.calls.alive
-        if not (alive or self._device.robot.left):
-            return None
-        mine = (call for call in alive.values() if call.may_move)
+        mine = (call for call in self._device.calls.alive.values() if call.may_move)
         return next(mine, None) or next(self.motions_left(), None)
 
     def motions_left(self) -> Iterator[Call]:

@@ -119,8 +119,7 @@ class CommandQueue:
         del self._undoes[task]
         self._lasting.discard(task)
         look_at(task)
-        if self._work is task:
-            self._end_turn_of(task)
+        self._end_turn_of(task)
 
     def _end_turn_of(self, task: asyncio.Task[Any] | None) -> None:
         if self._work is not None and self._work is task:
@@ -148,8 +147,7 @@ class CommandQueue:
             return
         self._phase = SupervisorPhase.STOPPED
         self._begins.set()
-        if self._work is not None:
-            self._end_turn_of(self._work)  # whoever waits hears of it at once
+        self._end_turn_of(self._work)  # whoever waits hears of it at once
         for task in set(self._undoes) - self._lasting:
             task.cancel()
 

@@ -312,11 +312,9 @@ class Member:
         elif isinstance(self.action, Behavior):
             self.sight.sees()
         if running:
-            if self.mail.senders.count:
-                self.mail.admit()
+            self.mail.admit()
             for queue in (self.mail.askers, *self.mail.queues.values()):
-                if queue.count:
-                    queue.roused()
+                queue.roused()
         if before is not self.mail.state:
             self.life.tell(
                 Kind.RUNNING if running else Kind.PARKED, self.mail.error, why
@@ -441,8 +439,7 @@ class Member:
     def stop(self) -> None:
         """Cut it off, whatever it does; its tasks are the caller's to end."""
         self.mail.become(BehaviorState.STOPPING)
-        if self._timer is not None:
-            self._no_restart()
+        self._no_restart()
         self.fence(lambda: UserRemovedError(self.name))
         self.give_up()
         self._end_requests()

@@ -384,8 +384,7 @@ class RequestQueue:
 
     def end_all(self, outcome: Outcome, error: Callable[[Request], EsairError]) -> None:
         """End what waits and what is worked on."""
-        waiting = self if self.count else ()
-        for request in (*self.working, *waiting):
+        for request in (*self.working, *self):
             request.withdraw(outcome, error=error(request))
 
     # By a method.
