@@ -215,3 +215,29 @@ async def test_a_verb_that_need_not_wait_costs_what_it_costs(
             budget.left = left
             await verb(user)
             assert budget.left == after
+
+
+# The shortcut.
+
+
+@pytest.mark.promise("AC-3", "PRO-6")
+async def test_a_write_takes_the_short_way_while_nothing_shuts_the_gate(
+    user_of: Any,
+) -> None:
+    """Settled at each change: a verdict that nobody needs is dear."""
+    wheels, user = FakeActuator("wheels", safe=0.0), user_of("user", wheels=WRITES)
+    async with esair.Robot(resources=[wheels], behaviors=[user]) as robot:
+        channel = robot.actuators.channels["wheels"]
+        assert channel._is_plain
+        await robot.halt("look")
+        assert not channel._is_plain
+        robot.resume()
+        assert channel._is_plain
+        wheels.unplug()
+        await asyncio.sleep(0.01)
+        assert not channel._is_plain
+        wheels.plug()
+        await asyncio.sleep(1.0)
+        assert channel._is_plain
+        assert await user.wheels.write(0.5)
+    assert not channel._is_plain

@@ -41,6 +41,20 @@ async def test_rights_that_come_and_go_are_told() -> None:
 
 
 @pytest.mark.promise("RS-3")
+def test_nothing_is_kept_of_rights_that_are_over() -> None:
+    """Neither by their number nor by their resource; those that are valid stay."""
+    registrations = Registrations()
+    first, second = (
+        registrations.issue(Terms(name, "wheels", WRITE)) for name in ("a", "b")
+    )
+    registrations.revoke(first)
+    assert registrations.of_resource("wheels") == [second] == list(registrations)
+    registrations.revoke(second)
+    assert not registrations.live
+    assert not registrations._of_resource
+
+
+@pytest.mark.promise("RS-3")
 @pytest.mark.parametrize(
     "other",
     [

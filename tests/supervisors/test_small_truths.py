@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gc
 import weakref
 from typing import Any
@@ -107,6 +108,25 @@ async def test_an_answered_request_is_forgotten_long_before_its_timeout() -> Non
         del request
         gc.collect()
         assert known() is None
+
+
+@pytest.mark.promise("BS-8")
+@pytest.mark.real_clock
+def test_an_answer_after_the_end_of_the_loop_is_told_to_be_late() -> None:
+    """Whoever kept the request, in a thread say: nobody waits any more."""
+    worker = Worker()
+
+    async def work() -> None:
+        asker = Idle(name="asker")
+        async with esair.Robot(behaviors=[asker, worker]):
+            asking = asyncio.create_task(asker.ask("worker", Job(1)))
+            await turns()
+        with contextlib.suppress(esair.EsairError):
+            await asking
+
+    asyncio.run(work())
+    (job,) = worker.has
+    assert (job.answer(7), job.progress(0.5), job.refuse("no")) == (False, False, False)
 
 
 @pytest.mark.promise("BS-8")
