@@ -72,7 +72,7 @@ async def test_one_that_is_cancelled_in_its_turn_leaves_it_to_the_next(
 
 
 @pytest.mark.real_clock
-@pytest.mark.parametrize("way", ["safe", "halted", "cancelled", "expired"])
+@pytest.mark.parametrize("way", ["safe", "halted", "cancelled", "expired", "stopped"])
 async def test_one_that_waits_in_a_thread_is_overtaken_by_safe(
     way: str, user_of: Any
 ) -> None:
@@ -109,10 +109,15 @@ async def test_one_that_waits_in_a_thread_is_overtaken_by_safe(
     async with robot:
         reading = asyncio.create_task(user.eye.read())
         await asyncio.sleep(0.05)
-        soon = asyncio.get_running_loop().time() + 0.05 if way == "expired" else None
+        ends = way in {"expired", "stopped"}
+        soon = asyncio.get_running_loop().time() + 0.05 if ends else None
         writing = asyncio.create_task(user.motor.write(1.0, expires=soon))
-        await asyncio.sleep(0.06)
-        if way == "cancelled":
+        await asyncio.sleep(0.06 if way != "stopped" else 0.01)
+        if way == "stopped":  # the process, amid a turn: its clock stands still
+            assert not threading.Event().wait(0.06)
+            go.set()
+            assert not threading.Event().wait(0.1)
+        elif way == "cancelled":
             writing.cancel()
             await asyncio.wait({writing})
         elif way == "safe":
@@ -130,6 +135,7 @@ async def test_one_that_waits_in_a_thread_is_overtaken_by_safe(
                 "safe": "made safe, or this expired, before",
                 "halted": "before the robot was",
                 "expired": "made safe, or this expired, before",
+                "stopped": "made safe, or this expired, before",
             }
             assert not refused
             assert why[way] in refused.rule

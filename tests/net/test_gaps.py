@@ -203,6 +203,31 @@ async def test_the_owner_was_stopped_amid_a_turn(
     assert Twist(0.1, 0.0) not in pair.wheels.commands
 
 
+@pytest.mark.promise("NET-4")
+async def test_the_owner_was_stopped_amid_a_check(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The clock is looked at last: a command that was fresh before its check is not now."""
+    pair, hand, stopped = Pair(), Hand(), [0.0]
+    async with pair.both(hand) as (base, _):
+        monkeypatch.setattr(
+            "esair.connections._actuator_channel.clock_beside",
+            lambda loop: lambda: loop.time() + stopped[0],
+        )
+        channel = base.actuators.channels["wheels"]
+        checked = channel.checked
+
+        def slowly(command: Any) -> Any:
+            stopped[0] = 0.3
+            return checked(command)
+
+        channel.checked = slowly
+        refused = await hand.wheels.write(Twist(0.1, 0.0))
+        assert isinstance(refused, esair.Refused)
+        assert "expired" in refused.rule
+    assert Twist(0.1, 0.0) not in pair.wheels.commands
+
+
 @pytest.mark.promise("NET-3")
 async def test_a_peer_that_is_back_is_not_waited_for_long_again() -> None:
     """What an opening meets right after a long cut does not make the next pause long."""

@@ -317,9 +317,6 @@ class ActuatorChannel(Device):
                 return self._kept_away(registration, command, refused, now, again)
         if heard.command and not again:
             self.wanted(registration, command)
-        if expires is not None and (late := self._lateness(expires)) > 0.0:
-            expired = f"it expired {late:.3g} s ago"
-            return self._refuse(registration, self._too_late(registration, expired))
         asked = command
         if ready is None:
             checked = self.checked  # hot
@@ -327,10 +324,15 @@ class ActuatorChannel(Device):
         else:
             command = ready
         wire = self.wire
-        if wire.lane is not None or self.safe.state is not IDLE:
-            return self._when_idle(registration, command, hold, expires)
-        if wire.slews or wire.watch is not None:
+        waits = wire.lane is not None or self.safe.state is not IDLE
+        if not waits and (wire.slews or wire.watch is not None):
             command = self._bounded(command, now)
+        # Last: between this look and the driver nothing is done that takes time.
+        if expires is not None and (late := self._lateness(expires)) > 0.0:
+            expired = f"it expired {late:.3g} s ago"
+            return self._refuse(registration, self._too_late(registration, expired))
+        if waits:
+            return self._when_idle(registration, command, hold, expires)
         # `Hold` takes it here, in place.  # hot
         if holder is not registration or now + REACHED >= held.begun + held.seconds:
             held.since = now

@@ -24,7 +24,7 @@ from esair.exceptions import (
     StoppingError,
 )
 from esair.journal import Journal, Kind
-from esair.loop import REACHED
+from esair.loop import REACHED, clock_beside
 from esair.messages import Access, Refused, ResourceState, Why
 
 if TYPE_CHECKING:
@@ -319,13 +319,16 @@ class Gate:
     def ticket(
         self, right: Registration | None, expires: float | None = None
     ) -> Callable[[], bool]:
-        """Return what a thread asks just before it calls the driver."""
+        """Return what a thread asks just before it calls the driver.
+
+        It looks at the clock itself: that of the turns stands still meanwhile.
+        """
         halts, fence = self.halts, self.fence
         return lambda: (
             halts == self.halts
             and fence == self.fence
             and (right is None or right.usable)
-            and (expires is None or self.device.time() <= expires)
+            and (expires is None or clock_beside(self.device.loop)() <= expires)
         )
 
     @property
