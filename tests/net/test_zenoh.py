@@ -120,6 +120,15 @@ async def test_tcp() -> None:
         await use(pair, hand, rover)
 
 
+async def test_who_opens_the_network_has_it() -> None:
+    """The first opening is one: it does not take a second one."""
+    network = Network(me="base", listen=[f"tcp/127.0.0.1:{free_port()}"])
+    bus = PeerBus(name="rover", network=network)
+    send = await network.join(bus)
+    send("beat", b"")
+    await network.leave(bus)
+
+
 @pytest.mark.promise("NET-3")
 async def test_the_owner_comes_later_and_again() -> None:
     """The network is there before the peer; a session that was closed is opened again."""

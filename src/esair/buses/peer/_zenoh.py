@@ -144,9 +144,9 @@ class Network:
                 told = "network: insecure: everybody who reaches it can drive %s"
                 _log.warning(told, self.me)
             self._opening = spawn(loop, self._open(bus), name="open the network")
-        if self._opening is not None:
-            await asyncio.wait({self._opening})
-            self._opening.result()
+        if (opening := self._opening) is not None:
+            await asyncio.wait({opening})
+            opening.result()
         import zenoh  # it is there: the session is open
 
         session, name = self._session, bus.name
