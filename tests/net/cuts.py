@@ -12,16 +12,18 @@ import fcntl
 import heapq
 import itertools
 import json
+import math
 import os
 import random
 import select
 import signal
+import statistics
 import struct
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +31,13 @@ import attrs
 
 import esair
 from esair.buses.peer import Network, PeerBus, Tls
+from esair.connections import _actuator_channel
 from esair.drivers.peer import Peer, PeerActuator
+from esair.loop import clock_beside
 from esair.peers import Share, Sharing
 from esair.testing import FakeActuator
 
-TIMEOUT = 0.2
+TIMEOUT, LOST = 0.2, 1.3
 KINDS = ("cut", "from base", "from rover", "stop 0", "stop 1")
 """What is cut: the way, one direction of it, and the process of the base or the rover."""
 
@@ -49,6 +53,24 @@ class Twist:
 
 
 STILL = Twist(0.0, 0.0)
+
+
+def tell(*told: Any) -> None:
+    """Print what happened, and when."""
+    sys.stdout.write(json.dumps([time.monotonic(), *told]) + "\n")
+    sys.stdout.flush()
+
+
+class Wheels(FakeActuator[Twist]):
+    """Tells when the driver is called, and when the clock was looked at for that."""
+
+    looked = 0.0
+
+    async def write(self, command: Twist) -> None:
+        at = time.monotonic()
+        decided = command.decided if command != STILL else None
+        await super().write(command)
+        tell("told", at, decided, self.looked)
 
 
 # The two robots: each a process in its namespace.
@@ -76,9 +98,10 @@ def network(me: str, peer: str, certificates: str) -> Network:
 
 def base(certificates: str) -> esair.Robot:
     """Has the wheels, and prints what they are told."""
-    wheels = FakeActuator("wheels", safe=STILL, command_timeout=TIMEOUT)
+    wheels = Wheels("wheels", safe=STILL, command_timeout=TIMEOUT)
     bus = PeerBus(name="rover", network=network("base", "rover", certificates))
     bus.declare(Twist)
+    bus.on_lost(lambda _: tell("lost"))
     sharing = Sharing(bus=bus, shares=[Share("wheels", "write", priority=5)])
     robot = esair.Robot(
         name="base",
@@ -86,19 +109,23 @@ def base(certificates: str) -> esair.Robot:
         behaviors=[sharing],
     )
 
-    def heard(event: Any) -> None:
-        if event.kind.value in {"sent", "safe"} and event.component == "wheels":
-            decided = event.value.decided if event.kind.value == "sent" else None
-            sys.stdout.write(json.dumps([time.monotonic(), decided]) + "\n")
-            sys.stdout.flush()
+    def beside(loop: Any) -> Callable[[], float]:
+        def look() -> float:
+            wheels.looked = time.monotonic()
+            return clock_beside(loop)()
 
-    robot.journal.listen(heard)
+        return look
+
+    _actuator_channel.clock_beside = (
+        beside  # it looks there before the driver is called
+    )
     return robot
 
 
 def rover(certificates: str) -> esair.Robot:
     """Drives the wheels of the base."""
     bus = PeerBus(name="base", network=network("rover", "base", certificates))
+    bus.on_lost(lambda _: tell("lost"))
     wheels = PeerActuator(name="wheels", bus=bus, type=Twist)
     return esair.Robot(
         name="rover",
@@ -168,39 +195,47 @@ class Way(threading.Thread):
 
 
 class Robots:
-    """The two processes, and what the wheels of the base were told."""
+    """The two processes, and what they have told."""
 
     def __init__(self, way: Way, certificates: str) -> None:
-        self.told: list[tuple[float, float | None]] = []
+        self.told: list[tuple[float, float | None, float]] = []
+        """Of the wheels: when, with what decided when, and when the clock was looked at."""
+        self.lost: list[tuple[float, str]] = []
+        """When who has lost the other one."""
         self.processes = [
             subprocess.Popen(
                 [
                     *("ip", "netns", "exec", name, sys.executable, "-m"),
                     *("tests.net.cuts", "--be", who, "--certificates", certificates),
                 ],
-                stdout=subprocess.PIPE if who == "base" else None,
+                stdout=subprocess.PIPE,
                 stderr=None if os.environ.get("LOUD") else subprocess.DEVNULL,
             )
             for who, name in zip(ADDRESSES, way.names, strict=True)
         ]
-        threading.Thread(target=self._hear, daemon=True).start()
+        for who, process in zip(ADDRESSES, self.processes, strict=True):
+            threading.Thread(
+                target=self._hear, args=(who, process), daemon=True
+            ).start()
 
-    def _hear(self) -> None:
-        stream = self.processes[0].stdout
-        assert stream is not None
-        for line in stream:
-            at, decided = json.loads(line)
-            self.told.append((at, decided))
+    def _hear(self, who: str, process: subprocess.Popen[bytes]) -> None:
+        assert process.stdout is not None
+        for line in process.stdout:
+            at, what, *rest = json.loads(line)
+            if what == "told":
+                self.told.append((rest[0], rest[1], rest[2]))
+            else:
+                self.lost.append((at, who))
 
     def fresh(self, since: float, seconds: float) -> float | None:
         """Return when the first command was sent that was decided after a moment."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            for at, decided in reversed(self.told):
+            for at, decided, _ in reversed(self.told):
                 if at < since:
                     break
                 if decided is not None and decided >= since:
-                    first = [a for a, d in self.told if d is not None and d >= since]
+                    first = [a for a, d, _ in self.told if d is not None and d >= since]
                     return first[0]
             time.sleep(0.005)
         return None
@@ -215,13 +250,26 @@ class Robots:
 
 @attrs.frozen
 class Cut:
-    """What came of one: in seconds; old: commands that were too old."""
+    """What came of one, in seconds.
+
+    Attributes:
+        kind: What was cut.
+        length: For how long.
+        old: How many commands were too old when the driver was called.
+        amid: How many the owner had judged, rightly, before it was stopped, and handed
+            to the driver right after: nothing in a process can see that.
+        safe: From the last command, or what made it old, to the safe one.
+        fresh: From the heal to the first new command.
+        lost: From the begin until the last of those who run has lost the other.
+    """
 
     kind: str
     length: float
     old: int
+    amid: int
     safe: float | None
     fresh: float | None
+    lost: float | None
 
 
 def cuts(
@@ -274,18 +322,48 @@ def _judged(
     fresh: float | None,
 ) -> Cut:
     told = [each for each in robots.told if each[0] >= begin - 0.2]
-    moved = [(at, decided) for at, decided in told if decided is not None]
+    moved = [each for each in told if each[1] is not None]
     # The decision was made before the echo it carries could come: a beat, and both ways.
     limit = TIMEOUT + 2.0 * way.delay + 0.01
-    old = sum(at >= begin and at - decided > limit for at, decided in moved)
-    before = [at for at, _ in moved if at < (healed if fresh is None else fresh)]
+    late = [each for each in moved if each[0] >= begin and each[0] - each[1] > limit]
+    # While it is stopped it looks at nothing: such a look was before the stop.
+    amid = sum(
+        kind == "stop 0" and looked < healed <= at and looked - decided <= limit
+        for at, decided, looked in late
+    )
+    before = [at for at, _, _ in moved if at < (healed if fresh is None else fresh)]
     safe = None
     if before and healed - before[-1] > TIMEOUT + 0.1:
         last = max(before[-1], healed - TIMEOUT if kind == "stop 0" else 0.0)
-        still = [at for at, decided in told if decided is None and at >= before[-1]]
+        still = [at for at, decided, _ in told if decided is None and at >= before[-1]]
         safe = (still[0] if still else 1e9) - last
     first = None if fresh is None else fresh - healed
-    return Cut(kind, healed - begin, old, safe, first)
+    lost = None
+    if healed - begin > LOST + 0.05:
+        who = {"stop 0": ["rover"], "stop 1": ["base"]}.get(kind, list(ADDRESSES))
+        when = {
+            w: [at for at, one in robots.lost if one == w and at > begin] for w in who
+        }
+        lost = max(min(when[w], default=1e9) - begin for w in who)
+    return Cut(kind, healed - begin, len(late) - amid, amid, safe, first, lost)
+
+
+def summary(found: list[Cut]) -> str:
+    """Return the worst of each kind."""
+    lines = []
+    for kind in KINDS:
+        some = [each for each in found if each.kind == kind]
+        fresh = [math.inf if each.fresh is None else each.fresh for each in some]
+        if some:
+            safe = max((each.safe or 0.0 for each in some), default=0.0)
+            lost = max((each.lost or 0.0 for each in some), default=0.0)
+            lines.append(
+                f"{kind}: {len(some)} times, old {sum(each.old for each in some)}, "
+                f"amid {sum(each.amid for each in some)}, safe after {safe:.3f} s, lost "
+                f"after {lost:.2f} s, fresh after {statistics.median(fresh):.3f} s, at most "
+                f"{max(fresh):.3f} s, {sum(each > 0.5 for each in fresh)} after 0.5 s"
+            )
+    return "\n".join(lines)
 
 
 def main() -> None:
@@ -303,6 +381,7 @@ def main() -> None:
         robot = {"base": base, "rover": rover}[given.be](given.certificates)
         esair.run(robot)
         return
+    found: list[Cut] = []
     for cut in cuts(
         given.cuts,
         seed=given.seed,
@@ -312,9 +391,10 @@ def main() -> None:
         lengths=given.lengths,
         kinds=tuple(given.kinds.split(",")),
     ):
-        told = (cut.kind, cut.length, cut.old, cut.safe, cut.fresh)
-        sys.stdout.write(json.dumps(told) + "\n")
+        found.append(cut)
+        sys.stdout.write(json.dumps(attrs.astuple(cut)) + "\n")
         sys.stdout.flush()
+    sys.stdout.write(summary(found) + "\n")
 
 
 if __name__ == "__main__":

@@ -249,6 +249,27 @@ async def test_a_peer_that_is_back_is_not_waited_for_long_again() -> None:
 
 
 @pytest.mark.promise("NET-3")
+async def test_the_first_beat_after_a_gap_is_answered_at_once() -> None:
+    """Who hears the other one again says so: nobody waits for a beat that is due later."""
+    pair, loop = Pair(delay=0.001), asyncio.get_running_loop()
+    async with pair.base():
+        await asyncio.sleep(0.021)
+        async with pair.rover():
+            await asyncio.sleep(0.3)
+            pair.network.cut()
+            await asyncio.sleep(2.0)
+            pair.network.heal()
+            said = len(pair.network.log)
+            while len(pair.network.log) == said:
+                await asyncio.sleep(0.001)
+            begin = loop.time()
+            await asyncio.gather(
+                pair.to_base._alive.wait(), pair.to_rover._alive.wait()
+            )
+            assert loop.time() - begin < 0.01
+
+
+@pytest.mark.promise("NET-3")
 async def test_a_lost_peer_is_known_in_time_and_comes_back() -> None:
     """Its parts are LOST within 1.3 s of its silence, and READY again by themselves."""
     pair, hand = Pair(), Hand()

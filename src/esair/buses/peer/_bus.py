@@ -216,9 +216,12 @@ class PeerBus(Bus):
             if self._alive.is_set():
                 self._gone("it has restarted")
         if head.beat > self._its_beat:
+            silent = now - self._beat_at
             if self._alive.is_set():
-                self._over_gap(now - self._beat_at)
+                self._over_gap(silent)
             self._its_beat, self._beat_at = head.beat, now
+            if what != "bye" and (silent > 2.0 * BEAT or not self._alive.is_set()):
+                self.say("beat")  # it waits for an echo of what it says now
         if head.echo_run == self._run and head.echo > self._beats:
             # A number came there that was never sent: count on from it, or what is
             # sent from now on stays unheard.

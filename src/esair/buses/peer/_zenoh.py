@@ -95,7 +95,7 @@ class Network:
     _users: set[str] = attrs.field(factory=set, init=False)
     _session: Any = attrs.field(default=None, init=False)
     _opening: asyncio.Task[Any] | None = attrs.field(default=None, init=False)
-    _subscribers: dict[str, Any] = attrs.field(factory=dict, init=False)
+    _heard: dict[str, tuple[Any, Any]] = attrs.field(factory=dict, init=False)
 
     def __attrs_post_init__(self) -> None:
         for name in (self.me, *self.peers):
@@ -170,17 +170,23 @@ class Network:
             key = key_of(name, self.me, what)
             session.put(key, data, congestion_control=drop, express=True)
 
+        def meet(status: Any) -> None:  # on a thread of zenoh
+            if status.matching:  # what is said now gets there
+                door.tell(tag, bus.say, "beat")
+
+        publisher = session.declare_publisher(key_of(name, self.me, "beat"))
+        publisher.declare_matching_listener(meet)
         key = key_of(self.me, name, "*")
-        self._subscribers[name] = session.declare_subscriber(key, come)
+        self._heard[name] = publisher, session.declare_subscriber(key, come)
         return send
 
     async def leave(self, bus: PeerBus) -> None:
         """Hear no more of a peer; with the last one the network is closed."""
         self._users.discard(bus.name)
-        subscriber = self._subscribers.pop(bus.name, None)
+        declared = self._heard.pop(bus.name, ())
         if self._users:
-            if subscriber is not None:
-                subscriber.undeclare()
+            for each in declared:
+                each.undeclare()
             return
         session, self._session = self._session, None
         if session is not None:
@@ -222,7 +228,7 @@ class Network:
             "scouting/delay": 0,
             "connect/timeout_ms": -1,  # for ever, in the background
             "connect/exit_on_failure": False,
-            "connect/retry": {"period_init_ms": 20, "period_max_ms": 50},
+            "connect/retry": {"period_init_ms": 20, "period_max_ms": 20},
             "transport/shared_memory/enabled": False,
             "transport/link/protocols": ["tcp" if self.tls is None else "tls"],
             # A way that a cut has broken is made anew: TCP alone would wait ever longer,
