@@ -287,7 +287,7 @@ def cuts(
     with Way(delay, loss, seed) as way:
         robots = Robots(way, certificates)
         try:
-            if robots.fresh(time.monotonic(), 20.0) is None:
+            if robots.fresh(time.monotonic(), 60.0) is None:
                 raise RuntimeError("the robots do not meet")
             for count in range(number):
                 time.sleep(chance.uniform(0.3, 1.3))
@@ -326,6 +326,12 @@ def _judged(
     # The decision was made before the echo it carries could come: a beat, and both ways.
     limit = TIMEOUT + 2.0 * way.delay + 0.01
     late = [each for each in moved if each[0] >= begin and each[0] - each[1] > limit]
+    for at, decided, looked in late:
+        since, age, judged = at - begin, at - decided, looked - decided
+        sys.stderr.write(
+            f"{kind}: told {since:.3f} s after its begin what was decided {age:.3f} s "
+            f"before, and {judged:.3f} s before the look\n"
+        )
     # While it is stopped it looks at nothing: such a look was before the stop.
     amid = sum(
         kind == "stop 0" and looked < healed <= at and looked - decided <= limit

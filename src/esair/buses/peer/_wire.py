@@ -1,6 +1,6 @@
 """What peers say to each other: a head of 40 bytes, then plain data.
 
-The page ``docs/reference/network-messages.md`` is for those who speak it from elsewhere.
+The page ``docs/reference/network.md`` is for those who speak it from elsewhere.
 """
 
 from __future__ import annotations

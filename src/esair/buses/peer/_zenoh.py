@@ -81,7 +81,7 @@ class Network:
         tls: The certificates; without them endpoints have to be on this machine.
         insecure: Endpoints elsewhere without certificates: everybody who gets there can
             read and say everything.
-        connect_timeout: How long one try to connect may take, in seconds: it has to be four
+        connect_timeout: How long one try to connect may take, in seconds: it has to be five
             times the way there and back, and after a cut that is how long it takes.
     """
 
@@ -91,7 +91,7 @@ class Network:
     connect: tuple[str, ...] = attrs.field(default=(), converter=_paths)
     tls: Tls | None = None
     insecure: bool = False
-    connect_timeout: float = attrs.field(default=0.3, converter=float)
+    connect_timeout: float = attrs.field(default=0.2, converter=float)
     _users: set[str] = attrs.field(factory=set, init=False)
     _session: Any = attrs.field(default=None, init=False)
     _opening: asyncio.Task[Any] | None = attrs.field(default=None, init=False)
