@@ -32,6 +32,7 @@ from benchmarks.cases import (
     reactions,
     realtime,
     recording,
+    remote,
     ros2,
     seat,
     starting,
@@ -55,6 +56,7 @@ CASES = {
     "P21": wire_garbage,
     "P22": realtime,
     "P23": placed,
+    "P24": remote,
     "OPS": seat,
     "REC": recording,
 }
@@ -124,6 +126,7 @@ SMOKE: dict[ModuleType, dict[str, object]] = {
     ros2: {"SECONDS": 0.1},
     realtime: {"SECONDS": 0.2},
     placed: {"IDLE": 3},
+    remote: {"COUNT": 5},
     seat: {"SECONDS": 0.1},
 }
 """How long, and how large, the cases are when nothing is measured."""
