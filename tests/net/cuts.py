@@ -46,10 +46,11 @@ ADDRESSES = {"base": "10.77.0.1", "rover": "10.77.0.2"}
 
 @attrs.frozen
 class Twist:
-    """A motion: when it was decided."""
+    """A motion: when it was decided, and when it was sent."""
 
     decided: float
     speed: float
+    sent: float = 0.0
 
 
 STILL = Twist(0.0, 0.0)
@@ -68,9 +69,37 @@ class Wheels(FakeActuator[Twist]):
 
     async def write(self, command: Twist) -> None:
         at = time.monotonic()
-        decided = command.decided if command != STILL else None
         await super().write(command)
-        tell("told", at, decided, self.looked)
+        if command == STILL:
+            tell("still", at)
+        else:
+            tell("told", at, command.decided, command.sent, self.looked)
+
+
+class FarWheels(PeerActuator):
+    """Says when a command is sent: it may have waited for the answer to another one."""
+
+    async def write(self, command: Any) -> Any:
+        if isinstance(command, Twist):
+            command = attrs.evolve(command, sent=time.monotonic())
+        return await super().write(command)
+
+
+@attrs.frozen
+class Told:
+    """What the wheels were told.
+
+    Attributes:
+        at: When their driver was called.
+        decided: When that was decided.
+        sent: When it was sent, with the newest beat that was heard.
+        looked: When the owner has looked at its clock for that.
+    """
+
+    at: float
+    decided: float
+    sent: float
+    looked: float
 
 
 # The two robots: each a process in its namespace.
@@ -126,7 +155,7 @@ def rover(certificates: str) -> esair.Robot:
     """Drives the wheels of the base."""
     bus = PeerBus(name="base", network=network("rover", "base", certificates))
     bus.on_lost(lambda _: tell("lost"))
-    wheels = PeerActuator(name="wheels", bus=bus, type=Twist)
+    wheels = FarWheels(name="wheels", bus=bus, type=Twist)
     return esair.Robot(
         name="rover",
         resources=[Peer(name="base", bus=bus), wheels],
@@ -198,8 +227,9 @@ class Robots:
     """The two processes, and what they have told."""
 
     def __init__(self, way: Way, certificates: str) -> None:
-        self.told: list[tuple[float, float | None, float]] = []
-        """Of the wheels: when, with what decided when, and when the clock was looked at."""
+        self.told: list[Told] = []
+        self.still: list[float] = []
+        """When the wheels were told to be safe."""
         self.lost: list[tuple[float, str]] = []
         """When who has lost the other one."""
         self.processes = [
@@ -223,7 +253,9 @@ class Robots:
         for line in process.stdout:
             at, what, *rest = json.loads(line)
             if what == "told":
-                self.told.append((rest[0], rest[1], rest[2]))
+                self.told.append(Told(*rest))
+            elif what == "still":
+                self.still.append(rest[0])
             else:
                 self.lost.append((at, who))
 
@@ -231,12 +263,8 @@ class Robots:
         """Return when the first command was sent that was decided after a moment."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            for at, decided, _ in reversed(self.told):
-                if at < since:
-                    break
-                if decided is not None and decided >= since:
-                    first = [a for a, d, _ in self.told if d is not None and d >= since]
-                    return first[0]
+            if self.told and self.told[-1].decided >= since:
+                return next(each.at for each in self.told if each.decided >= since)
             time.sleep(0.005)
         return None
 
@@ -308,40 +336,44 @@ def cuts(
                 way.cut = set()
                 fresh = robots.fresh(healed, 15.0)
                 time.sleep(0.1)
-                yield _judged(robots, way, kind, begin, healed, fresh)
+                yield _judged(robots, kind, begin, healed, fresh)
         finally:
             robots.end()
 
 
 def _judged(
     robots: Robots,
-    way: Way,
     kind: str,
     begin: float,
     healed: float,
     fresh: float | None,
 ) -> Cut:
-    told = [each for each in robots.told if each[0] >= begin - 0.2]
-    moved = [each for each in told if each[1] is not None]
-    # The decision was made before the echo it carries could come: a beat, and both ways.
-    limit = TIMEOUT + 2.0 * way.delay + 0.01
-    late = [each for each in moved if each[0] >= begin and each[0] - each[1] > limit]
-    for at, decided, looked in late:
-        since, age, judged = at - begin, at - decided, looked - decided
-        sys.stderr.write(
-            f"{kind}: told {since:.3f} s after its begin what was decided {age:.3f} s "
-            f"before, and {judged:.3f} s before the look\n"
-        )
+    moved = [each for each in robots.told if each.at >= begin - 0.2]
+    late = [
+        each
+        for each in moved
+        # What is echoed was heard before it was sent, and no gap is in between.
+        if each.at - each.sent > TIMEOUT + 0.001
+        or (each.decided < begin < healed <= each.at and healed - begin > TIMEOUT)
+    ]
+    for each in late:
+        ago = {"decided": each.at - each.decided, "sent": each.at - each.sent}
+        told = f"{kind}: told {each.at - begin:.4f} s after its begin, {ago}"
+        sys.stderr.write(f"{told}, looked {each.at - each.looked:.4f} s before\n")
     # While it is stopped it looks at nothing: such a look was before the stop.
     amid = sum(
-        kind == "stop 0" and looked < healed <= at and looked - decided <= limit
-        for at, decided, looked in late
+        kind == "stop 0"
+        and each.looked < healed <= each.at
+        and each.looked - each.sent <= TIMEOUT
+        for each in late
     )
-    before = [at for at, _, _ in moved if at < (healed if fresh is None else fresh)]
+    before = [
+        each.at for each in moved if each.at < (healed if fresh is None else fresh)
+    ]
     safe = None
     if before and healed - before[-1] > TIMEOUT + 0.1:
         last = max(before[-1], healed - TIMEOUT if kind == "stop 0" else 0.0)
-        still = [at for at, decided, _ in told if decided is None and at >= before[-1]]
+        still = [at for at in robots.still if at >= before[-1]]
         safe = (still[0] if still else 1e9) - last
     first = None if fresh is None else fresh - healed
     lost = None

@@ -8,7 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from tests.net.cuts import KINDS, TIMEOUT, cuts
+from tests.net.cuts import KINDS, LOST, TIMEOUT, cuts
 
 pytest.importorskip("zenoh")
 pytestmark = [
@@ -40,6 +40,7 @@ def test_cuts(kind: str) -> None:
 
     assert sum(each.old for each in found) == 0
     assert max(each.safe for each in found if each.safe is not None) < TIMEOUT + 0.05
+    assert max(each.lost for each in found if each.lost is not None) < LOST
     late = [each for each in found if each.fresh is None or each.fresh > 0.5]
     assert late == []
 
@@ -47,7 +48,8 @@ def test_cuts(kind: str) -> None:
 @pytest.mark.usefixtures("namespaces")
 def test_cuts_of_a_bad_way() -> None:
     """With delay and loss it takes as long as TCP takes, and comes back by itself."""
-    found = list(cuts(50, kinds=("cut",), delay=0.02, loss=0.02))
+    found = list(cuts(100, delay=0.01, loss=0.05))
 
     assert sum(each.old for each in found) == 0
+    assert max(each.safe for each in found if each.safe is not None) < TIMEOUT + 0.05
     assert all(each.fresh is not None for each in found)
