@@ -1,8 +1,9 @@
 """Many robots in one network, each a process of its own on this machine.
 
-``python -m tests.net.fleet --robots 20`` links each with each: every robot shares its sonar
-with all, and drives the wheels of the next one. It tells when all have seen each other, what
-was lost since, how long a write and its answer took, and the CPU of a robot.
+``python -m tests.net.fleet --robots 20`` links each with each, or with ``--near 2`` each with
+two neighbors on either side: every robot shares its sonar with them, and drives the wheels of
+the next one. It tells when all have seen them, what was lost since, how long a write and its
+answer took, and the CPU of a robot. Each link costs both of its ends 20 beats a second.
 """
 
 from __future__ import annotations
@@ -69,12 +70,19 @@ def name_of(number: int) -> str:
     return f"robot_{number}"
 
 
-def description(number: int, ports: list[int]) -> str:
+def neighbors(number: int, count: int, near: int) -> list[int]:
+    """Return the others that are at most so many places away, in a circle."""
+    steps = [*range(-near, 0), *range(1, near + 1)]
+    return sorted({(number + each) % count for each in steps} - {number})
+
+
+def description(number: int, ports: list[int], near: int) -> str:
     """Return the robot.toml of one of them; each connects to those before it."""
     count = len(ports)
     after = name_of((number + 1) % count)
-    others = [name_of(each) for each in range(count) if each != number]
-    before = [f"tcp/127.0.0.1:{port}" for port in ports[:number]]
+    linked = neighbors(number, count, near)
+    others = [name_of(each) for each in linked]
+    before = [f"tcp/127.0.0.1:{ports[each]}" for each in linked if each < number]
     return f"""
 [robot]
 name = "{name_of(number)}"
@@ -111,13 +119,12 @@ type = "float"
 # One of them.
 
 
-async def be(file: str, robots: int, seconds: float) -> None:
+async def be(file: str, robots: int, near: int, seconds: float) -> None:
     """Run a robot: say when it sees all others, and what came of so many seconds."""
     begin = time.monotonic()
     robot = esair.Robot.from_config(file)
-    me = int(Path(file).stem)
-    peers = [name_of(each) for each in range(robots) if each != me]
-    far = [*peers, "next_sonar", "next_wheels"]
+    linked = neighbors(int(Path(file).stem), robots, near)
+    far = [*map(name_of, linked), "next_sonar", "next_wheels"]
 
     def there() -> bool:
         states = [robot.resources.query(each).state for each in far]
@@ -195,19 +202,24 @@ class Fleet:
         )
 
 
-def fleet(robots: int, seconds: float) -> Fleet:
-    """Run so many robots, and watch them for so many seconds once all have met."""
+def fleet(robots: int, seconds: float, near: int = 0) -> Fleet:
+    """Run so many robots, and watch them for so many seconds once all have met.
+
+    Each is linked with so many near ones on either side, with all unless given.
+    """
+    near = near or robots // 2
     ports = [free_port() for _ in range(robots)]
     with tempfile.TemporaryDirectory() as folder:
         processes = []
         for number in range(robots):
             file = Path(folder) / f"{number}.toml"
-            file.write_text(description(number, ports))
+            file.write_text(description(number, ports, near))
             processes.append(
                 subprocess.Popen(
                     [
                         *(sys.executable, "-m", "tests.net.fleet", "--be", str(file)),
                         *("--robots", str(robots), "--seconds", str(seconds)),
+                        *("--near", str(near)),
                     ],
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
@@ -245,13 +257,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", type=int, default=20)
     parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--near", type=int, default=0)
     parser.add_argument("--be", default="")
     given = parser.parse_args()
     if given.be:
         with asyncio.Runner(loop_factory=TurnLoop) as runner:
-            runner.run(be(given.be, given.robots, given.seconds))
+            runner.run(be(given.be, given.robots, given.near, given.seconds))
     else:
-        sys.stdout.write(f"{fleet(given.robots, given.seconds)}\n")
+        sys.stdout.write(f"{fleet(given.robots, given.seconds, given.near)}\n")
 
 
 if __name__ == "__main__":

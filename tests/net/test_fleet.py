@@ -23,9 +23,10 @@ def test_three_robots_use_each_other() -> None:
 
 
 @pytest.mark.soak
-def test_twenty_robots_lose_nobody() -> None:
-    """Each sees all others for a while, and nobody is lost."""
-    found = fleet(20, 20.0)
+@pytest.mark.parametrize("near", [2, 0])
+def test_twenty_robots_lose_nobody(near: int) -> None:
+    """Each sees its neighbors, or all others, for a while, and nobody is lost."""
+    found = fleet(20, 20.0, near)
 
     assert len(found.robots) == 20
     assert sum(one.lost for one in found.robots) == 0, found

@@ -42,10 +42,8 @@ def of_status(status: dict[str, Any]) -> list[dict[str, Any]]:
     found = []
     for peer in (each for each in on_peers if each["name"] == each["bus"]):
         name, numbers = peer["name"], peer["numbers"]
-        used = [f"{each['name']}: {each['state']}" for each in on_peers]
-        holds = [
-            each["name"] for each in status["resources"] if each.get("holder") == name
-        ]
+        used = [each for each in on_peers if each["bus"] == name and each is not peer]
+        holds = [each for each in status["resources"] if each.get("holder") == name]
         found.append(
             {
                 "name": name,
@@ -53,12 +51,8 @@ def of_status(status: dict[str, Any]) -> list[dict[str, Any]]:
                 "error": peer["error"],
                 "round_trip": numbers.get("round_trip"),
                 "refused": int(numbers.get("refused", 0)),
-                "used": [
-                    told
-                    for told, each in zip(used, on_peers, strict=True)
-                    if each["bus"] == name and each is not peer
-                ],
-                "holds": holds,
+                "used": [f"{each['name']}: {each['state']}" for each in used],
+                "holds": [each["name"] for each in holds],
             }
         )
     return found

@@ -49,7 +49,7 @@ class _Network:
     connect: tuple[str, ...] = ()
     tls: _Tls | None = None
     insecure: bool = False
-    connect_timeout: float = 0.2
+    connect_timeout: float = 0.25
 
 
 @attrs.frozen
@@ -169,18 +169,12 @@ def add_buses(draft: Draft, peers: Peers | None) -> None:
         return
     from esair.buses.peer import Network, PeerBus, Tls
 
-    mistakes, told = draft.source.mistakes, peers.network
+    mistakes, told = draft.source.mistakes, attrs.asdict(peers.network)
+    del told["name"]
+    told["tls"] = told["tls"] and Tls(**told["tls"])
     network: Any = None
     try:
-        network = Network(
-            me=peers.me,
-            peers=peers.names,
-            listen=told.listen,
-            connect=told.connect,
-            tls=None if told.tls is None else Tls(**attrs.asdict(told.tls)),
-            insecure=told.insecure,
-            connect_timeout=told.connect_timeout,
-        )
+        network = Network(me=peers.me, peers=peers.names, **told)
     except Exception as error:
         mistakes.caught("network", error, "the network")
     for peer in peers.names:

@@ -69,15 +69,12 @@ class Peer(Sensor[PeerStatus]):
 
     async def stream(self) -> AsyncIterator[PeerStatus]:
         """Yield what the bus has counted, twice a second."""
+        bus = self.bus
         while True:
-            yield self._status()
+            told, trip = bus.stats, min(bus.round_trip, 1e6)
+            counts = told.received, told.refused, told.bad_frames, told.lost
+            yield PeerStatus(trip, *counts)
             await asyncio.sleep(0.5)
-
-    def _status(self) -> PeerStatus:
-        bus, stats = self.bus, self.bus.stats
-        trip = min(bus.round_trip, 1e6)
-        received, bad = stats.received, stats.bad_frames
-        return PeerStatus(trip, received, stats.refused, bad, stats.lost)
 
 
 def _type_of(owner: Sensor[Any] | Actuator[Any], kind: Any) -> Any:
