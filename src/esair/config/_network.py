@@ -49,7 +49,7 @@ class _Network:
     connect: tuple[str, ...] = ()
     tls: _Tls | None = None
     insecure: bool = False
-    connect_timeout: float = 0.25
+    connect_timeout: float = 0.2
 
 
 @attrs.frozen

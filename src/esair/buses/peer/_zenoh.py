@@ -91,7 +91,7 @@ class Network:
     connect: tuple[str, ...] = attrs.field(default=(), converter=_paths)
     tls: Tls | None = None
     insecure: bool = False
-    connect_timeout: float = attrs.field(default=0.25, converter=float)
+    connect_timeout: float = attrs.field(default=0.2, converter=float)
     _users: set[str] = attrs.field(factory=set, init=False)
     _session: Any = attrs.field(default=None, init=False)
     _opening: asyncio.Task[Any] | None = attrs.field(default=None, init=False)
