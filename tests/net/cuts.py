@@ -377,7 +377,7 @@ def _judged(
         safe = (still[0] if still else 1e9) - last
     first = None if fresh is None else fresh - healed
     lost = None
-    if healed - begin > LOST + 0.05:
+    if before and healed - begin > LOST + 0.05:  # else it was lost at its begin
         who = {"stop 0": ["rover"], "stop 1": ["base"]}.get(kind, list(ADDRESSES))
         when = {
             w: [at for at, one in robots.lost if one == w and at > begin] for w in who
