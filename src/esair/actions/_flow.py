@@ -388,6 +388,7 @@ class Output:
     active: bool = False  # it may hold the actuator
     pending: bool = False  # a write is on its way
     later: Any = None  # the newest command, while an older one is on its way
+    _expires: float | None = None  # until when that may leave
 
     def join(self, sensors: tuple[SensorChannel, ...]) -> None:
         """Have a say in what the actuator does, by what these sensors see."""
@@ -414,7 +415,7 @@ class Output:
                 self.channel.wanted(self.registration, command)
                 self.reject(error)
                 raise
-        self.command = command
+        self.command, self._expires = command, None
         if not self.decided:
             self.decided = True
             self.decision.add(self)
@@ -430,11 +431,12 @@ class Output:
         if self.pending:
             if self.later is not None:
                 self._outputs.conflated += 1
-            self.later = command
+            self.later, self._expires = command, self.channel.expiry(self._expires)
             return True, None
+        right, expires = self.registration, self._expires
         try:
             outcome = self.channel.begin(
-                self.registration, command, None, False, self.checked, now
+                right, command, None, False, self.checked, now, False, expires
             )
         except EsairError as error:
             self.reject(error)
@@ -463,6 +465,7 @@ class Output:
             outputs.settling.discard(task)
             self.pending = False
             command, self.later = self.later, None
+            expires = self._expires
         if command is None or outputs.runner.stopped:
             return
         if self.decided:  # in this turn, and newer
@@ -470,6 +473,7 @@ class Output:
         else:
             with contextlib.suppress(BadValueError):  # by limits that are new
                 self.decide(command)
+                self._expires = expires
 
     def reject(self, error: EsairError) -> None:
         """Count what cannot be sent; who wants what is bad by itself is blind."""

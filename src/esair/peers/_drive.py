@@ -54,9 +54,8 @@ class Drive(Behavior):
             try:
                 async for _ in heard:
                     command = heard.newest
-                    if now() - command.time <= moved.command_timeout:
-                        await moved.write(command.value)
-                    else:
-                        self.refused += 1
+                    expires = command.time + moved.command_timeout
+                    written = await moved.write(command.value, expires=expires)
+                    self.refused += not written and now() > expires
             except (DeviceLostError, StaleReadingError):
                 await asyncio.sleep(0.02)
