@@ -19,6 +19,7 @@ import esair.demo
 from esair.buses import Frame
 from esair.config import load
 from esair.demo import demo
+from esair.demo._samples import Event
 from esair.demo._screen import Screen
 from esair.demo._show import Ending, perform
 from esair.drivers.wheel_motor import (
@@ -235,6 +236,29 @@ def test_the_picture_is_a_png_of_a_good_size(show: Show, tmp_path: Path) -> None
     assert head[:8] == b"\x89PNG\r\n\x1a\n"
     assert int.from_bytes(head[16:20], "big") >= 1200
     assert path.stat().st_size > 30_000
+
+
+@pytest.mark.long
+def test_what_the_picture_says_of_the_floor_is_not_hidden(show: Show) -> None:
+    """Badges lie over nothing that is written, and over no bump."""
+    from esair.demo._picture import drawn
+
+    run = show.ending.run
+    assert run is not None
+    (sill,) = [box for box in run.arena.boxes if box.low]
+    x, y = sill.center
+    bump, back = (x - 0.22, y + 0.33), (x - 0.43, y + 0.07)
+    events = [("bump", bump), ("unplug", back), ("plug", back)]
+    told = [Event(float(n), kind, kind, at) for n, (kind, at) in enumerate(events)]
+    figure = drawn(attrs.evolve(run, events=tuple(told)))
+    figure.canvas.draw()
+    floor = figure.axes[0]
+    extents = [text.get_window_extent() for text in floor.texts]
+    (label,) = [text for text in floor.texts if "only felt" in text.get_text()]
+    room = label.get_window_extent()
+    assert [room.overlaps(each) for each in extents].count(True) == 1
+    place = floor.transData.transform(bump)
+    assert not any(each.contains(*place) for each in extents)
 
 
 @pytest.mark.long

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import textwrap
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,10 @@ STYLE: Any = {
 
 def draw(run: Run, path: Path) -> None:
     """Write the picture."""
+    drawn(run).savefig(path, format="png", facecolor=PAPER)
+
+
+def drawn(run: Run) -> Figure:
     numbered = [event for event in run.events if event.kind != "bump"]
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(12.0, 8.6), dpi=130, facecolor=PAPER)
@@ -73,7 +78,7 @@ def draw(run: Run, path: Path) -> None:
         _draw_floor(figure.add_subplot(grid[0, 0]), run, numbered)
         _draw_story(figure.add_subplot(grid[0, 1]), numbered)
         _draw_speed(figure.add_subplot(grid[1, :]), run, numbered)
-        figure.savefig(path, format="png", facecolor=PAPER)
+    return figure
 
 
 def _draw_floor(axes: Axes, run: Run, numbered: list[Event]) -> None:
@@ -94,10 +99,11 @@ def _draw_floor(axes: Axes, run: Run, numbered: list[Event]) -> None:
     felt = [event.place for event in run.events if event.kind == "bump"]
     axes.plot(*np.reshape(felt, (-1, 2)).T, "x", mew=2, color=KINDS["bump"], zorder=6)
     for number, event in enumerate(numbered, 1):
+        up = all(math.dist(event.place, place) > 1.0 for place in felt)
         axes.annotate(
             str(number),
             event.place,
-            (13 if number % 2 else -13, 13),
+            (13 if number % 2 else -13, 13 if up else -13),
             textcoords="offset points",
             arrowprops={"arrowstyle": "-", "color": KINDS[event.kind]},
             zorder=8,
@@ -133,8 +139,9 @@ def _draw_arena(axes: Axes, arena: Arena) -> None:
     for box in arena.boxes:
         axes.add_patch(Polygon(box.corners(), ls="--" if box.low else "-", **line))
         if box.low:
+            x, y = min(box.corners(), key=lambda corner: corner[1])  # badges are above
             text = "low sill,\nonly felt"
-            axes.text(*box.center, text, size=7, ha="right", color="#9a7b16")
+            axes.text(x, y - 0.05, text, size=7, va="top", color="#9a7b16", zorder=7)
     for pillar in arena.pillars:
         axes.add_patch(Circle(pillar.center, pillar.radius, **line))
 
