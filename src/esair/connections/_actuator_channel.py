@@ -563,6 +563,8 @@ class ActuatorChannel(Device):
         Whoever loses to it is refused, and never sent.
         """
         waiting = self._waiting
+        if not waiting:
+            return
         for write in waiting:
             right = write.registration
             refused = shut(self.gate, right, self.time(), write.halts)

@@ -244,7 +244,10 @@ class Wire:
 
     def unsettled(self) -> Call | None:
         """Return a motion that is alive, and may still undo the safe command."""
-        mine = (call for call in self._device.calls.alive.values() if call.may_move)
+        alive = self._device.calls.alive
+        if not (alive or self._device.robot.left):
+            return None
+        mine = (call for call in alive.values() if call.may_move)
         return next(mine, None) or next(self.motions_left(), None)
 
     def motions_left(self) -> Iterator[Call]:

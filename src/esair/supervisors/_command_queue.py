@@ -119,7 +119,8 @@ class CommandQueue:
         del self._undoes[task]
         self._lasting.discard(task)
         look_at(task)
-        self._end_turn_of(task)
+        if self._work is task:
+            self._end_turn_of(task)
 
     def _end_turn_of(self, task: asyncio.Task[Any] | None) -> None:
         if self._work is not None and self._work is task:
@@ -147,7 +148,8 @@ class CommandQueue:
             return
         self._phase = SupervisorPhase.STOPPED
         self._begins.set()
-        self._end_turn_of(self._work)  # whoever waits hears of it at once
+        if self._work is not None:
+            self._end_turn_of(self._work)  # whoever waits hears of it at once
         for task in set(self._undoes) - self._lasting:
             task.cancel()
 

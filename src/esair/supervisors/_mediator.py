@@ -599,9 +599,11 @@ class Mediator(Ledger):
         self.closed = True
         for member in self.boxes.values():
             for queue in _queues(member):
-                queue.end_all(
-                    Outcome.STOPPING, lambda _: StoppingError("behaviors", "stopping")
-                )
+                if queue.count or queue.working:
+                    queue.end_all(
+                        Outcome.STOPPING,
+                        lambda _: StoppingError("behaviors", "stopping"),
+                    )
 
     # Requests that wait.
 

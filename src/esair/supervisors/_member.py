@@ -312,9 +312,11 @@ class Member:
         elif isinstance(self.action, Behavior):
             self.sight.sees()
         if running:
-            self.mail.admit()
+            if self.mail.senders.count:
+                self.mail.admit()
             for queue in (self.mail.askers, *self.mail.queues.values()):
-                queue.roused()
+                if queue.count:
+                    queue.roused()
         if before is not self.mail.state:
             self.life.tell(
                 Kind.RUNNING if running else Kind.PARKED, self.mail.error, why
@@ -439,7 +441,8 @@ class Member:
     def stop(self) -> None:
         """Cut it off, whatever it does; its tasks are the caller's to end."""
         self.mail.become(BehaviorState.STOPPING)
-        self._no_restart()
+        if self._timer is not None:
+            self._no_restart()
         self.fence(lambda: UserRemovedError(self.name))
         self.give_up()
         self._end_requests()

@@ -384,7 +384,8 @@ class RequestQueue:
 
     def end_all(self, outcome: Outcome, error: Callable[[Request], EsairError]) -> None:
         """End what waits and what is worked on."""
-        for request in (*self.working, *self):
+        waiting = self if self.count else ()
+        for request in (*self.working, *waiting):
             request.withdraw(outcome, error=error(request))
 
     # By a method.
