@@ -11,7 +11,7 @@ import pytest
 import esair
 from esair.buses import Bus
 from esair.journal import Event, Kind
-from esair.testing import FakeActuator, FakeSensor
+from esair.testing import FakeActuator
 
 pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("AC-1")]
 
@@ -185,47 +185,3 @@ async def test_one_that_has_expired_leaves_no_more(user_of: Any) -> None:
         assert "expired" in second.rule
         assert not await user.motor.write(4.0, expires=now)
         assert motor.commands == [0.0, 1.0, 3.0]
-
-
-@pytest.mark.promise("AC-2")
-async def test_one_that_has_waited_for_too_long_leaves_no_more(user_of: Any) -> None:
-    """Had it left at once, the dead man would have ended it by now."""
-    motor, user = Motor(), user_of("user", motor=esair.writes(float))
-    motor.command_timeout = 0.2
-    async with esair.Robot(resources=[motor], behaviors=[user]):
-        writes = [asyncio.create_task(user.motor.write(n)) for n in (1.0, 2.0)]
-        await soon()
-        motor.slow(0.0)
-        first, second = await asyncio.gather(*writes)
-        assert first
-        assert not second
-        assert "expired" in second.rule
-        assert set(motor.commands) == {0.0, 1.0}
-        assert motor.commands[-1] == 0.0
-        assert await user.motor.write(3.0)
-
-
-@pytest.mark.promise("AC-2")
-async def test_what_a_reaction_wanted_too_long_ago_leaves_no_more() -> None:
-    """Its newest command waits for the one before it, and no longer than any other."""
-
-    class Follow(esair.Reaction):
-        eye = esair.reads(float)
-        motor = esair.writes(float)
-
-        def react(self, eye: float) -> float:
-            return eye
-
-    eye, motor = FakeSensor[float]("eye", type=float), Motor()
-    motor.command_timeout = 0.2
-    async with esair.Robot(resources=[eye, motor], behaviors=[Follow()]):
-        for value in (1.0, 2.0):
-            eye.feed(value)
-            await soon()
-        motor.slow(0.0)
-        await asyncio.sleep(2.0)
-        assert set(motor.commands) == {0.0, 1.0}
-        assert motor.commands[-1] == 0.0
-        eye.feed(3.0)
-        await soon()
-        assert motor.commands[-1] == 3.0

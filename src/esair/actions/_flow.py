@@ -388,7 +388,6 @@ class Output:
     active: bool = False  # it may hold the actuator
     pending: bool = False  # a write is on its way
     later: Any = None  # the newest command, while an older one is on its way
-    _expires: float | None = None  # until when that may leave
 
     def join(self, sensors: tuple[SensorChannel, ...]) -> None:
         """Have a say in what the actuator does, by what these sensors see."""
@@ -415,7 +414,7 @@ class Output:
                 self.channel.wanted(self.registration, command)
                 self.reject(error)
                 raise
-        self.command, self._expires = command, None
+        self.command = command
         if not self.decided:
             self.decided = True
             self.decision.add(self)
@@ -431,12 +430,11 @@ class Output:
         if self.pending:
             if self.later is not None:
                 self._outputs.conflated += 1
-            self.later, self._expires = command, self.channel.expiry(self._expires)
+            self.later = command
             return True, None
-        right, expires = self.registration, self._expires
         try:
             outcome = self.channel.begin(
-                right, command, None, False, self.checked, now, False, expires
+                self.registration, command, None, False, self.checked, now
             )
         except EsairError as error:
             self.reject(error)
@@ -465,7 +463,6 @@ class Output:
             outputs.settling.discard(task)
             self.pending = False
             command, self.later = self.later, None
-            expires = self._expires
         if command is None or outputs.runner.stopped:
             return
         if self.decided:  # in this turn, and newer
@@ -473,7 +470,6 @@ class Output:
         else:
             with contextlib.suppress(BadValueError):  # by limits that are new
                 self.decide(command)
-                self._expires = expires
 
     def reject(self, error: EsairError) -> None:
         """Count what cannot be sent; who wants what is bad by itself is blind."""

@@ -299,8 +299,7 @@ class ActuatorChannel(Device):
         What is ``ready`` is the command as `checked` has returned it in this turn,
         ``now`` is when the turn has begun: all that decide in it share one number.
         ``again``: it has waited for its turn, and the journal has heard of it. After
-        the moment when it ``expires`` it does not leave any more, however it has waited;
-        none that waits lasts longer than ``command_timeout`` (`expiry`).
+        the moment when it ``expires`` it does not leave any more, however it has waited.
         """
         if now is None:
             time = self.time  # hot
@@ -347,9 +346,7 @@ class ActuatorChannel(Device):
                 return self._refuse(registration, stop.refusal())
         if not self._dead_man.armed:
             self._dead_man.arm()
-        guard = None
-        if wire.blocks:
-            guard = self.gate.ticket(registration, self.expiry(expires))
+        guard = self.gate.ticket(registration, expires) if wire.blocks else None
         sent = wire.send(command, registration.behavior, self._ended, guard)
         if sent is not None or wire.applied is not None:
             return self._sent(sent, registration, command, asked, by)
@@ -364,11 +361,6 @@ class ActuatorChannel(Device):
         written = _new(Written)
         written.command, written.asked, written.by = command, asked, by
         return written
-
-    def expiry(self, expires: float | None = None) -> float:
-        """Return until when a command of this moment may leave, if it has to wait."""
-        until = self.time() + self.wire.command_timeout
-        return until if expires is None else min(expires, until)
 
     def _lateness(self, expires: float) -> float:
         """Look at the clock itself: the process may have been stopped amid this turn."""
@@ -553,7 +545,7 @@ class ActuatorChannel(Device):
         hold: float | None,
         expires: float | None = None,
     ) -> Written[Any] | Refused:
-        halts, expires = self.gate.halts, self.expiry(expires)
+        halts = self.gate.halts
         sent = await self._waiting.turn(registration, command, hold, halts, expires)
         return sent if isinstance(sent, Answer) else await sent
 

@@ -355,8 +355,7 @@ class ActuatorPort(Port[T]):
                 in seconds; the actuator's command timeout unless given. Each write
                 renews it.
             expires: A moment on the loop's clock (seconds): a command that still waits
-                for its turn then is refused, and never sent; at the latest the
-                actuator's command timeout from now.
+                for its turn then is refused, and never sent.
 
         Returns:
             What was really sent; or a refusal, false in a condition, that says who

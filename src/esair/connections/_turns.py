@@ -160,7 +160,7 @@ class WaitingWrite:
     command: Any
     hold: float | None
     halts: int
-    expires: float
+    expires: float | None
     turn: asyncio.Future[Sent]
 
     def end(self, end: Sent | Exception) -> None:
@@ -193,7 +193,7 @@ class WaitingWrites:
         command: Any,
         hold: float | None,
         halts: int,
-        expires: float,
+        expires: float | None,
     ) -> Sent:
         """Wait until somebody has said what becomes of a write."""
         if len(self._writes) >= WAITING_LIMIT:

@@ -54,8 +54,9 @@ class Drive(Behavior):
             try:
                 async for _ in heard:
                     command = heard.newest
-                    expires = command.time + moved.command_timeout
-                    written = await moved.write(command.value, expires=expires)
-                    self.refused += not written and now() > expires
+                    if now() - command.time <= moved.command_timeout:
+                        await moved.write(command.value)
+                    else:
+                        self.refused += 1
             except (DeviceLostError, StaleReadingError):
                 await asyncio.sleep(0.02)

@@ -40,11 +40,18 @@ class Seats:
     Args:
         components: Returns the components of the robot; their classes may cross.
         seed: What the random numbers of its components begin with.
+        command_timeout: Returns that of an actuator, by its name.
     """
 
-    def __init__(self, components: Callable[[], Iterable[Any]], seed: object) -> None:
+    def __init__(
+        self,
+        components: Callable[[], Iterable[Any]],
+        seed: object,
+        command_timeout: Callable[[str], float | None],
+    ) -> None:
         self.kinds = kinds_of(components, ALWAYS)
         self.seed = seed
+        self.command_timeout = command_timeout
         self.nursery: Nursery = Nursery.hold()
         self._taken: dict[Seat, None] = {}
 
@@ -194,6 +201,9 @@ class Seat:
         number = -1 - len(scopes)
         scopes[number] = contextvars.copy_context()
         return number
+
+    def command_timeout(self, resource: str) -> float | None:
+        return self._seats.command_timeout(resource)
 
     @property
     def lives(self) -> Process:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import math
 import sys
 from collections.abc import Callable, Iterator
 from typing import Any, Final, NamedTuple
@@ -13,7 +12,7 @@ from esair import minimal
 from esair.actions import Behavior, Reaction, adapt_action
 from esair.exceptions import AccessDeniedError, ConfigError
 from esair.loop import clock_of, wake
-from esair.messages import Access
+from esair.messages import Access, Refused
 from esair.placement._wire import End, make
 from esair.plan import SCRIPT
 from esair.values import check_duration
@@ -216,9 +215,12 @@ class BehaviorVerbs(PortVerbs):
     ) -> Any:
         port = self._find(key, name, _PORT_WAITS)
         if name == "write":
-            since = clock_of(asyncio.get_running_loop())() - asked.age
-            until = options.get("expires") or math.inf
-            options["expires"] = min(until, since + port.command_timeout)
+            limit = self._seat.command_timeout(port.resource)
+            if limit is not None and asked.age > limit:
+                now = clock_of(asyncio.get_running_loop())()
+                rule = f"the command is {asked.age:.3g} s old: command_timeout is {limit:g} s"
+                priority = port.registration.priority
+                return Refused(self._behavior.name, priority, rule, now, None)
         return await getattr(port, name)(*args, **options)
 
     async def _register(

@@ -494,12 +494,16 @@ class ResourceDeployment:
         if self._seats is None:
             from esair.placement import Seats
 
-            self._seats = Seats(self._everybody, self.seed)
+            self._seats = Seats(self._everybody, self.seed, self._command_timeout)
         return self._seats
 
     def _everybody(self) -> Iterator[Any]:
         yield from self.plan.resource_of.values()
         yield from self.plan.action_of.values()
+
+    def _command_timeout(self, resource: str) -> float | None:
+        channel = self.actuators.channels.get(resource)
+        return None if channel is None else channel.actuator.command_timeout
 
     # Inside.
 
