@@ -83,12 +83,10 @@ def pytest_collection_modifyitems(
     on one worker, one test after the other, and those of other files meanwhile.
     """
     for item in items:
-        if inspect.iscoroutinefunction(getattr(item, "obj", None)) and not uses_kit(
-            item
-        ):
-            raise pytest.UsageError(
-                f"{item.nodeid}: mark it virtual_clock or real_clock"
-            )
+        waits = inspect.iscoroutinefunction(getattr(item, "obj", None))
+        if waits and not uses_kit(item):
+            told = f"{item.nodeid}: mark it virtual_clock or real_clock"
+            raise pytest.UsageError(told)
         where = getattr(item, "callspec", None)
         if where is not None and where.params.get("place") == "process":
             item.add_marker("long")  # each has a process to start

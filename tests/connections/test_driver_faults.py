@@ -509,7 +509,7 @@ async def test_the_result_of_an_abandoned_thread_call_is_dropped(user_of: Any) -
     go = threading.Event()
 
     class Sonar(esair.Sensor[float]):
-        deadline = 0.5
+        deadline = 0.05
         asked = 0
 
         def read(self) -> float:

@@ -39,7 +39,6 @@ class Device:
     def __init__(self) -> None:
         self.name = "wheels"
         self.state = ResourceState.READY
-        self.time = lambda: NOW
         self.error: esair.EsairError | None = None
         self.registrations: Any = SimpleNamespace(
             halt=None,
@@ -206,11 +205,22 @@ def test_who_is_told_to_hold_it_is_who_keeps_commands_away() -> None:
         assert explain(gate, held, NOW, None, is_safe=False).holder == by
 
 
-def test_a_thread_may_begin_until_the_gate_is_shut() -> None:
-    """Or its right has ended."""
+def test_a_thread_may_begin_until_the_moment_when_its_command_expires(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Unless the gate was shut meanwhile, or the right has ended."""
     device: Any = Device()
+    device.loop = object()
+    clocks = {device.loop: lambda: NOW}
+    monkeypatch.setattr("esair.connections._gate.clock_beside", clocks.__getitem__)
     gate = Gate(device)
-    assert gate.ticket(None)()
+    for expires, may in (
+        (None, True),
+        (NOW + 0.5, True),
+        (NOW, True),
+        (NOW - 0.5, False),
+    ):
+        assert gate.ticket(None, expires)() is may
     mine = right(OWN, 5)
     for change in ("halts", "fence"):
         ticket = gate.ticket(mine)

@@ -46,9 +46,15 @@ def test_cuts(kind: str) -> None:
 
 
 @pytest.mark.usefixtures("namespaces")
-def test_cuts_of_a_bad_way() -> None:
+@pytest.mark.parametrize(
+    ("count", "kinds", "delay", "loss"),
+    [(50, ("cut",), 0.02, 0.02), (100, KINDS, 0.01, 0.05)],
+)
+def test_cuts_of_a_bad_way(
+    count: int, kinds: tuple[str, ...], delay: float, loss: float
+) -> None:
     """With delay and loss it takes as long as TCP takes, and comes back by itself."""
-    found = list(cuts(100, delay=0.01, loss=0.05))
+    found = list(cuts(count, kinds=kinds, delay=delay, loss=loss))
 
     assert sum(each.old for each in found) == 0
     assert max(each.safe for each in found if each.safe is not None) < TIMEOUT + 0.05

@@ -73,7 +73,7 @@ class TestOnAUrl(BusContract):
         return b"" if self.silent else data
 
     def make(self) -> SerialBus:
-        return SerialBus(name="loop", port="loop://", late_limit=0.1, write_timeout=2.0)
+        return SerialBus(name="loop", port="loop://", late_limit=0.1)
 
     async def use(self, bus: Any) -> None:
         assert await bus.ask(b"hello") == b"hello"
