@@ -157,6 +157,10 @@ class Network:
             room.release()
             bus.came(what, data)
 
+        def greet() -> None:
+            room.release()
+            bus.say("beat")
+
         def come(sample: Any) -> None:  # on a thread of zenoh
             payload = sample.payload
             if len(payload) > LIMIT or not room.acquire(blocking=False):
@@ -171,8 +175,8 @@ class Network:
             session.put(key, data, congestion_control=drop, express=True)
 
         def meet(status: Any) -> None:  # on a thread of zenoh
-            if status.matching:  # what is said now gets there
-                door.tell(tag, bus.say, "beat")
+            if status.matching and room.acquire(blocking=False):
+                door.tell(tag, greet)  # what is said now gets there
 
         publisher = session.declare_publisher(key_of(name, self.me, "beat"))
         publisher.declare_matching_listener(meet)
