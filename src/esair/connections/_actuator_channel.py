@@ -327,7 +327,7 @@ class ActuatorChannel(Device):
         waits = wire.lane is not None or self.safe.state is not IDLE
         if not waits and (wire.slews or wire.watch is not None):
             command = self._bounded(command, now)
-        # Last: between this look and the driver nothing is done that takes time.
+        # Last: between this look and the driver only guards take time.
         if expires is not None and (late := self._lateness(expires)) > 0.0:
             expired = f"it expired {late:.3g} s ago"
             return self._refuse(registration, self._too_late(registration, expired))

@@ -124,7 +124,7 @@ class Protection:
     @property
     def is_muted(self) -> bool:
         """Whether it lets everything pass now, by the user's will."""
-        return bool(self.muted_until) and _now() + REACHED < self.muted_until
+        return self.muted_until > 0.0 and _now() + REACHED < self.muted_until
 
     def inherit(self, before: Protection) -> None:
         """Keep what only the user may end: the latch of what it takes the place of."""
@@ -278,9 +278,10 @@ class Protections:
             entry.muted_until = until
             entry.muted_for = reason
             self._tell(entry.actuator, guards=entry.guards)
-        scheduler = Scheduler.of(asyncio.get_running_loop())
-        end = scheduler.at(until, self._mute_is_over, order=Order.EXPIRY)
-        self._ends.append(end)
+        if seconds > 0:
+            loop = asyncio.get_running_loop()
+            end = Scheduler.of(loop).at(until, self._mute_is_over, order=Order.EXPIRY)
+            self._ends.append(end)
 
     def reset(self, entries: Iterable[Protection]) -> None:
         """Take the latches of guards back."""
