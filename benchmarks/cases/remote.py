@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import shutil
-import socket
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
+from tests.net.certificates import certify, tls
+from tests.net.parts import free_port
+
 import esair
 from benchmarks.harness import Row, ms, percentile
-from esair.buses.peer import Network, PeerBus, Tls
+from esair.buses.peer import Network, PeerBus
 from esair.drivers.peer import Peer, PeerActuator
 from esair.loop import TurnLoop
 from esair.peers import Share, Sharing
@@ -51,20 +52,17 @@ class Writing(esair.Behavior):
 
 
 def network(me: str, peer: str, endpoint: str, folder: str) -> Network:
-    tls = None
-    if endpoint.startswith("tls"):
-        there = Path(folder)
-        tls = Tls(there / "ca.pem", there / f"{me}.pem", there / f"{me}.key")
-    listen, connect = ([endpoint], []) if me == "owner" else ([], [endpoint])
-    return Network(me=me, peers=[peer], listen=listen, connect=connect, tls=tls)
+    mine = tls(Path(folder), me) if endpoint.startswith("tls") else None
+    listen, connect = ([endpoint], []) if me == "base" else ([], [endpoint])
+    return Network(me=me, peers=[peer], listen=listen, connect=connect, tls=mine)
 
 
 async def owner(endpoint: str, folder: str) -> None:
     """Have the wheels, until the other process ends this one."""
-    bus = PeerBus(name="user", network=network("owner", "user", endpoint, folder))
+    bus = PeerBus(name="rover", network=network("base", "rover", endpoint, folder))
     robot = esair.Robot(
-        name="owner",
-        resources=[FakeActuator("wheels", safe=0.0), Peer(name="user", bus=bus)],
+        name="base",
+        resources=[FakeActuator("wheels", safe=0.0), Peer(name="rover", bus=bus)],
         behaviors=[Sharing(bus=bus, shares=[Share("wheels", "write")])],
     )
     async with robot:
@@ -93,18 +91,16 @@ async def rows() -> list[Row]:
 
 
 async def _measured(kind: str, folder: str) -> list[float]:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"{kind}/127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = f"{kind}/127.0.0.1:{free_port()}"
     arguments = "-m", "benchmarks.cases.remote", endpoint, folder
     process = await asyncio.create_subprocess_exec(sys.executable, *arguments)
     writing = Writing()
-    bus = PeerBus(name="owner", network=network("user", "owner", endpoint, folder))
+    bus = PeerBus(name="base", network=network("rover", "base", endpoint, folder))
     wheels = PeerActuator(name="wheels", bus=bus, type=float)
     try:
         async with esair.Robot(
-            name="user",
-            resources=[Peer(name="owner", bus=bus), wheels],
+            name="rover",
+            resources=[Peer(name="base", bus=bus), wheels],
             behaviors=[writing],
         ):
             async with asyncio.timeout(PATIENCE):
@@ -113,26 +109,6 @@ async def _measured(kind: str, folder: str) -> list[float]:
         process.kill()
         await process.wait()
     return writing.took
-
-
-def certify(folder: Path) -> None:
-    """Make an authority, and a certificate of it for each of the two."""
-
-    def openssl(*arguments: str) -> None:
-        subprocess.run(
-            ["openssl", *arguments], cwd=folder, check=True, capture_output=True
-        )
-
-    curve = "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"
-    signed = "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-extfile", "names"
-    (folder / "names").write_text("subjectAltName=IP:127.0.0.1\n")
-    openssl(
-        "req", "-x509", *curve, "-subj", "/CN=ca", "-keyout", "ca.key", "-out", "ca.pem"
-    )
-    for name in ("owner", "user"):
-        files = "-keyout", f"{name}.key", "-out", f"{name}.csr"
-        openssl("req", *curve, "-subj", f"/CN={name}", *files)
-        openssl("x509", "-req", "-in", f"{name}.csr", *signed, "-out", f"{name}.pem")
 
 
 if __name__ == "__main__":

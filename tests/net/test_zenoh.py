@@ -6,16 +6,16 @@ import asyncio
 import contextlib
 import shutil
 import statistics
-import subprocess
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.net.certificates import certify, tls
 from tests.net.parts import Dock, Docking, Hand, Pair, Twist, free_port
 
 import esair
-from esair.buses.peer import Network, PeerBus, Tls
+from esair.buses.peer import Network, PeerBus
 
 pytest.importorskip("zenoh")
 pytestmark = [pytest.mark.real_clock, pytest.mark.xdist_group("zenoh")]
@@ -45,40 +45,8 @@ def certificates(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if shutil.which("openssl") is None:
         pytest.skip("openssl is not there to make certificates")
     folder = tmp_path_factory.mktemp("certificates")
-
-    def openssl(*arguments: str) -> None:
-        done = subprocess.run(
-            ["openssl", *arguments], cwd=folder, capture_output=True, check=False
-        )
-        assert done.returncode == 0, done.stderr
-
-    curve = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes")
-    for authority in ("ca", "other"):
-        openssl(
-            *("req", "-x509", *curve, "-days", "9", "-subj", f"/CN={authority}"),
-            *("-keyout", f"{authority}.key", "-out", f"{authority}.pem"),
-        )
-    (folder / "names").write_text("subjectAltName=IP:127.0.0.1,DNS:localhost\n")
-    for name, authority, days in (
-        *(("base", "ca", 9), ("rover", "ca", 9), ("thief", "ca", 9)),
-        *(("rover", "other", 9), ("rover", "ca", -1)),
-    ):
-        file = name if authority == "ca" else f"{authority}-{name}"
-        file = "expired" if days < 0 else file
-        openssl(
-            *("req", *curve, "-subj", f"/CN={name}"),
-            *("-keyout", f"{file}.key", "-out", f"{file}.csr"),
-        )
-        openssl(
-            *("x509", "-req", "-in", f"{file}.csr", "-CA", f"{authority}.pem"),
-            *("-CAkey", f"{authority}.key", "-CAcreateserial", "-days", str(days)),
-            *("-extfile", "names", "-out", f"{file}.pem"),
-        )
+    certify(folder)
     return folder
-
-
-def tls(folder: Path, file: str) -> Tls:
-    return Tls(folder / "ca.pem", folder / f"{file}.pem", folder / f"{file}.key")
 
 
 async def is_ready(
