@@ -324,15 +324,15 @@ class ActuatorChannel(Device):
         else:
             command = ready
         wire = self.wire
-        waits = wire.lane is not None or self.safe.state is not IDLE
-        if not waits and (wire.slews or wire.watch is not None):
+        if wire.lane is not None or self.safe.state is not IDLE:
+            if expires is not None and (late := self._lateness(expires)) > 0.0:
+                return self._expired(registration, late)
+            return self._when_idle(registration, command, hold, expires)
+        if wire.slews or wire.watch is not None:
             command = self._bounded(command, now)
         # Last: between this look and the driver only guards take time.
         if expires is not None and (late := self._lateness(expires)) > 0.0:
-            expired = f"it expired {late:.3g} s ago"
-            return self._refuse(registration, self._too_late(registration, expired))
-        if waits:
-            return self._when_idle(registration, command, hold, expires)
+            return self._expired(registration, late)
         # `Hold` takes it here, in place.  # hot
         if holder is not registration or now + REACHED >= held.begun + held.seconds:
             held.since = now
@@ -361,6 +361,10 @@ class ActuatorChannel(Device):
         written = _new(Written)
         written.command, written.asked, written.by = command, asked, by
         return written
+
+    def _expired(self, registration: Registration, late: float) -> Refused:
+        expired = self._too_late(registration, f"it expired {late:.3g} s ago")
+        return self._refuse(registration, expired)
 
     def _lateness(self, expires: float) -> float:
         """Look at the clock itself: the process may have been stopped amid this turn."""

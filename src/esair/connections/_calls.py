@@ -353,7 +353,7 @@ class Calls:
         guard: Guard | None = None,
     ) -> Any:
         self.number += 1
-        if len(self.alive) >= ABANDONED_LIMIT:
+        if self.alive and len(self.alive) >= ABANDONED_LIMIT:
             self._check_abandoned(kind)
         tape = self._door.tape
         if tape is not None:
