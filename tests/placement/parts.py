@@ -18,7 +18,7 @@ import attrs
 
 import esair
 import esair.minimal as emin
-from esair.placement._wire import Item
+from esair.placement._wire import CALL, IDLE, TICK, Item
 
 
 @attrs.frozen
@@ -312,12 +312,12 @@ class Liar(esair.Behavior):
     async def run(self) -> None:
         child: Any = self._host._child
         wire: Any = child._wire
-        data = child.pack("x", (0, 0.0, (), {}))
+        data = child.pack("x", (0, 0.0, None))
         bad = {
-            "verb": Item("call", 9, "__class__", data),
-            "port": Item("call", 9, "port", child.pack("x", "nonsense")),
-            "method": Item("nonsense", 9, "port", b"nonsense"),
-            "private": Item("call", 9, "next order", data),
+            "verb": Item(CALL, 9, "__class__", data),
+            "port": Item(CALL, 9, "port", child.pack("x", "nonsense")),
+            "method": Item(b"?", 9, "port", b"nonsense"),
+            "private": Item(CALL, 9, "next order", data),
         }
         if self.lie in bad:
             child.queue.append(bad[self.lie])
@@ -325,10 +325,10 @@ class Liar(esair.Behavior):
             wire._end.send(b"\x01garbage")
         elif self.lie == "flood":
             for _ in range(100):
-                wire.send(("tick", None), [])
+                wire.send(TICK, 0.0)
         elif self.lie == "turn":
-            wire.send(("idle", None), [])
-            wire.send(("idle", None), [])
+            wire.send(IDLE, math.inf)
+            wire.send(IDLE, math.inf)
         elif self.lie == "files":
             read, _ = os.pipe()
             socket.send_fds(wire._end, [b"\0"], [read])

@@ -33,7 +33,15 @@ from esair.loop._door import Door
 from esair.loop._light_task import ignore, raisable, settle
 from esair.loop._of_loop import OfLoop, OfTurn
 from esair.loop._ownership import current_owner
-from esair.loop._scheduler import EARLY, FAR, NEVER, NOW, SECOND, Scheduler
+from esair.loop._scheduler import (
+    EARLY,
+    FAR,
+    NEVER,
+    NOW,
+    SECOND,
+    Scheduler,
+    contained,
+)
 from esair.loop._tape import Player, TapeWriter
 
 _log = logging.getLogger("esair")
@@ -137,6 +145,18 @@ class Turn(OfLoop):
             return 0.0
         return min(each.gap() for each in self._steppers)
 
+    def listen(self, file: int, function: Callable[[], object]) -> None:
+        """Call a function when a file can be read: as a rule it has news for the door.
+
+        A loop that comes to the border by itself calls it just before, so that the news
+        take effect at once. `forget` it before the file is closed.
+        """
+        self.loop.add_reader(file, function)
+
+    def forget(self, file: int) -> None:
+        """Listen to a file no more; fine if it is not listened to."""
+        self.loop.remove_reader(file)
+
     def ring(self) -> None:
         """Have the loop come to the border, from any thread.
 
@@ -175,6 +195,14 @@ OfTurn.made_by = Turn.of
 
 class OwnTurn(Turn):
     """The turns of a loop that comes to the border by itself."""
+
+    def listen(self, file: int, function: Callable[[], object]) -> None:
+        """Call a function when a file can be read, before the border."""
+        self.loop.listen(file, function)  # type: ignore[attr-defined]
+
+    def forget(self, file: int) -> None:
+        """Listen to a file no more; fine if it is not listened to."""
+        self.loop.forget(file)  # type: ignore[attr-defined]
 
     def ring(self) -> None:
         """Wake the selector, from any thread."""
@@ -256,8 +284,10 @@ class TurnLoop(asyncio.SelectorEventLoop):
         self._works = itertools.count(1)
         selector: Any = selectors.DefaultSelector()
         super().__init__(selector)
+        self._listens: dict[int, Callable[[], object]] = {}
+        self._rises = False  # it is on its way to the border: nobody has to ring
         self._turn = OwnTurn(self)
-        self._alarm = None if self.virtual else Alarm.on(selector)
+        self._alarm = None if self.virtual else Alarm.on(self)
         self._select: Select = selector.select
         selector.select = self._pass  # the border is there
 
@@ -299,8 +329,20 @@ class TurnLoop(asyncio.SelectorEventLoop):
         """Let time pass in a thread that works for a robot, and wait for that."""
         time.sleep(seconds)
 
+    def listen(self, file: int, function: Callable[[], object]) -> None:
+        """Call a function when a file can be read, before the border."""
+        self._listens[file] = function
+        self._selector.register(file, selectors.EVENT_READ)  # type: ignore[attr-defined]
+
+    def forget(self, file: int) -> None:
+        """Listen to a file no more; fine if it is not listened to."""
+        if self._listens.pop(file, None) is not None:
+            self._selector.unregister(file)  # type: ignore[attr-defined]
+
     def ring(self) -> None:
         """Wake the selector, from any thread."""
+        if self._rises:
+            return
         alarm = self._alarm
         if alarm is None or not alarm.ring():
             self._check_closed()  # type: ignore[attr-defined]
@@ -384,16 +426,22 @@ class TurnLoop(asyncio.SelectorEventLoop):
                 self._alarm.set(turn.due)
             elif gap < NEVER:
                 timeout = gap if timeout is None else min(timeout, gap)
-        events = self._select(timeout)
-        if self._alarm is not None and events:  # hot: as `_look`
-            self._alarm.heard(events)
-        return events
+        return self._look(timeout)
 
-    def _look(self, timeout: float) -> Any:
-        """Return what there is for asyncio: a thread of the robot's may ring."""
+    def _look(self, timeout: float | None) -> Any:
+        """Return what there is for asyncio; what is listened to is heard."""
         events = self._select(timeout)
-        if self._alarm is not None:
-            self._alarm.heard(events)
+        if events:
+            listens = self._listens
+            self._rises = True
+            try:
+                for each in tuple(events):
+                    function = listens.get(each[0].fd)
+                    if function is not None:
+                        events.remove(each)
+                        contained(self, function)
+            finally:
+                self._rises = False
         return events
 
     def _replay(self, timeout: float | None) -> Any:
@@ -431,7 +479,7 @@ class Alarm:
     that reads a socket until an exception says that there is no more.
     """
 
-    def __init__(self, selector: selectors.BaseSelector) -> None:
+    def __init__(self, loop: TurnLoop) -> None:
         self._lock = threading.Lock()
         self._timer, self._settime = timerfd()
         self._due: float = NEVER
@@ -440,14 +488,14 @@ class Alarm:
         except OSError:
             os.close(self._timer)
             raise
-        for fd in (self._timer, self._bell):
-            selector.register(fd, selectors.EVENT_READ)
+        loop.listen(self._timer, self._silence)
+        loop.listen(self._bell, self._heard)
 
     @classmethod
-    def on(cls, selector: selectors.BaseSelector) -> Alarm | None:
-        """Return one that wakes a selector; None if this system has none."""
+    def on(cls, loop: TurnLoop) -> Alarm | None:
+        """Return one that wakes a loop; None if this system has none."""
         try:
-            return cls(selector)
+            return cls(loop)
         except (OSError, NotImplementedError, AttributeError):
             return None
 
@@ -466,18 +514,12 @@ class Alarm:
             os.eventfd_write(self._bell, 1)
             return True
 
-    def heard(self, events: list[Any]) -> None:
-        """Take its own events away: they have done what they are for."""
-        for each in tuple(events):
-            fd = each[0].fd
-            if fd == self._timer:
-                self._settime(0)  # silent again
-                self._due = NEVER
-            elif fd == self._bell:
-                os.eventfd_read(fd)
-            else:
-                continue
-            events.remove(each)
+    def _silence(self) -> None:
+        self._settime(0)
+        self._due = NEVER
+
+    def _heard(self) -> None:
+        os.eventfd_read(self._bell)
 
     def close(self) -> None:
         with self._lock:

@@ -23,15 +23,25 @@ from typing import Any, Final
 from esair.actions import Behavior, Reaction, adapt_action
 from esair.codec import Kinds, declared, inner_of
 from esair.exceptions import BusyError, ConfigError, describe
-from esair.loop import OwnedTasks, Owner, Portal, Stream, raisable, spawn
+from esair.loop import NEVER, OwnedTasks, Owner, Portal, Stream, raisable, spawn
 from esair.placement._home import Order, Reacting, fill, scope
 from esair.placement._loop import ChildLoop
 from esair.placement._verbs import SCRIPT_OF_CHILD
 from esair.placement._wire import (
     ALWAYS,
+    CALL,
     CALLS,
+    CANCEL,
+    DONE,
+    FAIL,
+    IDLE,
     ITEMS,
+    NEWS,
     RECORD,
+    SYNC,
+    TICK,
+    TURN,
+    WITHDRAWN,
     End,
     Exchange,
     Item,
@@ -142,16 +152,16 @@ class Child(Exchange):
     def fileno(self) -> int:
         return self._wire.fileno()
 
-    def idle(self, wake: float | None) -> None:
+    def idle(self, wake: float) -> None:
         """Say that nothing is ready, and when to go on."""
         if self._stall is not None:
             faulthandler.cancel_dump_traceback_later()
         if self._has_turn:
             self._has_turn = False
-            self._send("idle", wake)
+            self._send(IDLE, wake)
 
     def tick(self) -> None:
-        self._wire.send(("tick", None), [])
+        self._wire.send(TICK, NEVER)
 
     def hear(self) -> float:
         """Take what the robot says; return what time it is there."""
@@ -160,12 +170,12 @@ class Child(Exchange):
             self._take(item)
         return now
 
-    def _send(self, kind: str, wake: float | None = None) -> None:
+    def _send(self, kind: bytes, wake: float = NEVER) -> None:
         items = self.message()
-        if self.queue and kind == "idle":
-            kind, wake = "turn", None  # there is more to tell
+        if self.queue and kind == IDLE:
+            kind = TURN  # there is more to tell
         try:
-            self._wire.send((kind, wake), items)
+            self._wire.send(kind, wake, items)
         except OSError:
             self.end()
 
@@ -178,7 +188,7 @@ class Child(Exchange):
         self._heard = time.monotonic()
         if goes_on and self._stall is not None:  # nobody there has a clock that tells
             faulthandler.dump_traceback_later(self._stall, exit=True)
-        return message
+        return message[1:]
 
     def end(self) -> None:
         """The robot wants no more of this process."""
@@ -194,15 +204,9 @@ class Child(Exchange):
 
     def call(self, verb: str, *args: Any, **options: Any) -> asyncio.Future[Any]:
         """Call the robot; awaiting waits for the end."""
-        future = self.loop.create_future()
-        number = self._call(settle(future), verb, args, options)
-
-        def done(future: asyncio.Future[Any]) -> None:
-            if future.cancelled() and self.calls.pop(number, None) is not None:
-                self.tell("cancel", number)
-
-        future.add_done_callback(done)
-        return future
+        outcome = Outcome(self, loop=self.loop)
+        outcome.number = self._call(settle(outcome), verb, args, options)
+        return outcome
 
     def told_of(self, number: int, hear: Callable[[Any], object]) -> None:
         self._news[number] = hear
@@ -216,9 +220,9 @@ class Child(Exchange):
         goes_on = self.loop.passes != self._asked_at
         self._asked_at = self.loop.passes
         while not outcome:
-            self._send("turn" if goes_on else "sync")
+            self._send(TURN if goes_on else SYNC)
             for item in self._receive(goes_on=goes_on)[1]:
-                if item.number == number and item.op in {"done", "fail"}:
+                if item.number == number and item.op in {DONE, FAIL}:
                     self.ended(number, *self.opened(item))
                 else:
                     self.loop.call_soon(self._take, item)
@@ -255,19 +259,19 @@ class Child(Exchange):
         if len(self.queue) >= ITEMS // 2:
             raise BusyError(self.name, "number of calls from its process", CALLS)
         busy = time.monotonic() - self._heard
-        return self.ask(verb, (scope.get(), busy, args, options), end)
+        return self.ask(verb, (scope.get(), busy, options or None, *args), end)
 
     # What the robot asks.
 
     def _take(self, item: Item) -> None:
         op, number, verb, data = item
-        if op == "call":
+        if op == CALL:
             self._begin(number, verb, data)
-        elif op == "cancel":
+        elif op == CANCEL:
             self.cancel(number)
-        elif op == "news":
+        elif op == NEWS:
             self._news[number](self.unpack(data))
-        elif op == "withdrawn":
+        elif op == WITHDRAWN:
             self.orders[number]()
         else:
             self._news.pop(number, None)
@@ -275,10 +279,11 @@ class Child(Exchange):
 
     def _begin(self, number: int, verb: str, data: bytes) -> None:
         try:
-            args, options = self.unpack(data)
+            options, *args = self.unpack(data)
             if verb in self._at_once:
                 self.answer(number, self._at_once[verb](*args), None)
                 return
+            method = self._method(verb)
         except BaseException as error:
             self.answer(number, None, error)
             return
@@ -286,14 +291,11 @@ class Child(Exchange):
         context.run(scope.set, number)
         self.tasks[number] = spawn(
             self.loop,
-            self.work(number, self._does, verb, *args, **options),
+            self.work(number, method, *args, **options or {}),
             name=f"{self.name} {verb}",
             owner=self.owner,
             context=context,
         )
-
-    async def _does(self, verb: str, /, *args: Any, **options: Any) -> Any:
-        return await self._method(verb)(*args, **options)
 
     def _method(self, verb: str) -> Callable[..., Any]:
         if verb in self._own_verbs:
@@ -383,6 +385,20 @@ class Child(Exchange):
 
     async def _answer(self, attribute: str, number: int, data: Any, sender: str) -> Any:
         return await self._method(attribute)(Order(self, number, data, sender).handle)
+
+
+class Outcome(asyncio.Future[Any]):
+    """The end of a call of the robot; who cancels it cancels that."""
+
+    def __init__(self, child: Child, *, loop: ChildLoop) -> None:
+        super().__init__(loop=loop)
+        self._child = child
+        self.number = 0
+
+    def cancel(self, msg: Any | None = None) -> bool:
+        if self._child.calls.pop(self.number, None) is not None:
+            self._child.tell(CANCEL, self.number)
+        return super().cancel(msg)
 
 
 def _called(function: Callable[..., Any]) -> Callable[..., Any]:

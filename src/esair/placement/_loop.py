@@ -65,7 +65,7 @@ class ChildLoop(TurnLoop):
     def _rest(self) -> Any:
         """Be idle until the robot says something; it also says what time it is."""
         wake = min(self._first(), self._turn.due / SECOND)
-        self._home.idle(None if wake == NEVER else max(wake, self._now))
+        self._home.idle(max(wake, self._now))
         events = self._select(None)
         while all(each[0].fd != self._home.fileno() for each in events):
             others = self._others(events)

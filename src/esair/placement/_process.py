@@ -12,7 +12,6 @@ import contextlib
 import contextvars
 import json
 import logging
-import math
 import os
 import select
 import signal
@@ -23,10 +22,36 @@ from typing import Any, Final
 
 from esair.codec import CodecError, Kinds
 from esair.exceptions import ProcessDiedError, printable
-from esair.loop import Deadlines, Door, First, OneShot, Player, Scheduler, clock_of
+from esair.loop import (
+    NEVER,
+    Deadlines,
+    Door,
+    First,
+    OneShot,
+    Player,
+    Scheduler,
+    clock_of,
+    turn_of,
+)
 from esair.messages import Placement
 from esair.placement._nursery import Nursery, told_end
-from esair.placement._wire import RECORD, End, Exchange, Item, Wire, settle
+from esair.placement._wire import (
+    CALL,
+    CANCEL,
+    DONE,
+    FAIL,
+    GO,
+    IDLE,
+    RECORD,
+    SYNC,
+    TICK,
+    TURN,
+    End,
+    Exchange,
+    Item,
+    Wire,
+    settle,
+)
 
 STACK: Final = 0.05
 """How long a child that hangs has to say where, before it is killed, in seconds."""
@@ -105,7 +130,7 @@ class Process(Exchange):
             # It waits for what is on its tape, and not in its selector.
             threading.Thread(target=self._read_on, daemon=True).start()
         else:
-            loop.add_reader(self._wire.fileno(), self._readable)
+            turn_of(loop).listen(self._wire.fileno(), self._readable)
             loop.add_reader(self._status.fileno(), self._told)
 
     # What the robot asks of it.
@@ -123,7 +148,7 @@ class Process(Exchange):
         """
         if self.error is not None:
             raise self.error.with_traceback(None)
-        number = self.ask(verb, (args, options), end)
+        number = self.ask(verb, (options or None, *args), end)
         self.scopes[number] = contextvars.copy_context()
         return number
 
@@ -143,14 +168,14 @@ class Process(Exchange):
             waiter = self._loop.create_future()
             self.calls[number] = settle(waiter)
             self._told_to_end.add(number)
-            self.tell("cancel", number)
+            self.tell(CANCEL, number)
             try:
                 return await waiter
             finally:
                 if not waiter.done() or waiter.cancelled():
                     self.calls.pop(number, None)
 
-    def tell(self, op: str, number: int, verb: str = "", data: bytes = b"") -> None:
+    def tell(self, op: bytes, number: int, verb: str = "", data: bytes = b"") -> None:
         """Send something as soon as it is the child's turn to hear."""
         if self.error is None:
             super().tell(op, number, verb, data)
@@ -201,23 +226,22 @@ class Process(Exchange):
             self._end_work()
             return
         with contextlib.suppress(OSError):  # it is gone: its status tells more
-            self._wire.send(now, self.message())
+            self._wire.send(GO, now, self.message())
 
     def _readable(self) -> None:
-        while self.error is None:
-            try:
-                message = self._wire.receive()
-            except BlockingIOError:
-                return
-            except ConnectionError:  # it died with something unread
-                message = None
-            except Exception as error:
-                self.condemn(f"has sent what is no message: {error}")
-                return
-            if message is None:
-                self._loop.remove_reader(self._wire.fileno())
-                return  # its status tells more
-            self._arrived(message)
+        try:
+            message = self._wire.receive()
+        except BlockingIOError:
+            return
+        except ConnectionError:  # it died with something unread
+            message = None
+        except Exception as error:
+            self.condemn(f"has sent what is no message: {error}")
+            return
+        if message is None:
+            turn_of(self._loop).forget(self._wire.fileno())
+            return  # its status tells more
+        self._arrived(*message)
 
     def _read_on(self) -> None:
         waits = select.poll()
@@ -226,30 +250,27 @@ class Process(Exchange):
             while self.error is None and waits.poll():
                 if (message := self._wire.receive()) is None:
                     return
-                self._arrived(message)
+                self._arrived(*message)
 
-    def _arrived(self, message: tuple[Any, list[Item]]) -> None:
-        match message:
-            case ("tick", _), []:
-                self._ticks += 1
-                if self._ticks <= 2:
-                    self._door.post(0, self._tag, self._ticked)
-                    return
-            case (("idle" | "turn" | "sync"), (None | float() as wake)), items if (
-                self._work and (wake is None or math.isfinite(wake))
-            ):
-                work, self._work = self._work, 0
-                args = work, *message
-                if sum(len(each.data) for each in items) <= LARGE:
-                    self._open(*args)
-                else:  # the loop goes on meanwhile
-                    threading.Thread(target=self._open, args=args, daemon=True).start()
+    def _arrived(self, kind: bytes, wake: float, items: list[Item]) -> None:
+        if kind == TICK and not items:
+            self._ticks += 1
+            if self._ticks <= 2:
+                self._door.post(0, self._tag, self._ticked)
                 return
+        elif kind in {IDLE, TURN, SYNC} and self._work and wake > -NEVER:
+            args = self._work, kind, wake, items
+            self._work = 0
+            if sum(len(each.data) for each in items) <= LARGE:
+                self._open(*args)
+            else:  # the loop goes on meanwhile
+                threading.Thread(target=self._open, args=args, daemon=True).start()
+            return
         self.condemn("has spoken out of turn")
 
-    def _open(self, work: int, head: Any, items: list[Item]) -> None:
+    def _open(self, work: int, kind: bytes, wake: float, items: list[Item]) -> None:
         opened = [(each, *self.opened(each)) for each in items]
-        self._door.post(work, self._tag, self._came, *head, opened)
+        self._door.post(work, self._tag, self._came, kind, wake, opened)
 
     def _ticked(self) -> None:
         """It has heard of something by a way of its own: tell it the time."""
@@ -262,14 +283,14 @@ class Process(Exchange):
 
     def _came(
         self,
-        kind: str,
-        wake: float | None,
+        kind: bytes,
+        wake: float,
         items: list[tuple[Item, Any, BaseException | None]],
     ) -> None:
         """A message of the child takes effect."""
         if self.error is not None:
             return
-        if kind != "sync":  # else its loop does not go on: it may ask for ever
+        if kind != SYNC:  # else its loop does not go on: it may ask for ever
             self._hang.cancel()
         for each in items:
             try:
@@ -279,9 +300,9 @@ class Process(Exchange):
             if self.error is not None:
                 return
         self._idle = True
-        if self.queue or kind != "idle":
+        if self.queue or kind != IDLE:
             self._send()
-        elif wake is not None:
+        elif wake < NEVER:
             self._wanted = wake
             self._wake = Scheduler.of(self._loop).at(wake, self._woken)
 
@@ -296,13 +317,13 @@ class Process(Exchange):
 
     def _apply(self, item: Item, value: Any, error: BaseException | None) -> None:
         op, number, verb, _ = item
-        if op == "call" and error is None:
+        if op == CALL and error is None:
             self._serve(number, verb, value)
-        elif op == "call":
+        elif op == CALL:
             self.answer(number, None, error)
-        elif op == "cancel":
+        elif op == CANCEL:
             self.cancel(number)
-        elif op in {"done", "fail"}:
+        elif op in {DONE, FAIL}:
             self._told_to_end.discard(number)
             self.scopes.pop(number, None)
             self.ended(number, value, error)
@@ -390,7 +411,7 @@ class Process(Exchange):
         self.tasks.clear()
         loop = self._loop
         if not loop.is_closed():
-            loop.remove_reader(self._wire.fileno())
+            turn_of(loop).forget(self._wire.fileno())
             loop.remove_reader(self._status.fileno())
         self._wire.close()
         self._status.close()

@@ -185,10 +185,10 @@ class Seat:
 
     # What its verbs need.
 
-    def reply(self, op: str, number: int, value: Any) -> None:
+    def reply(self, op: bytes, number: int, value: Any) -> None:
         """Tell the child something about a call or a request."""
         if self.process is not None:
-            self.process.tell(op, number, data=self.process.pack(op, value))
+            self.process.tell(op, number, data=self.process.pack("news", value))
 
     def spawn(self, coroutine: Coroutine[Any, Any, None], name: str) -> object:
         """Do something in the name of the component."""
@@ -285,7 +285,7 @@ class Seat:
     def _serve(self, number: int, verb: str, given: Any) -> None:
         process = self.lives
         match given:
-            case (int(scope), float(busy), tuple(args), dict(options)) if busy >= 0.0:
+            case (int(scope), float(busy), None | dict() as options, *args) if busy >= 0.0:
                 pass
             case _:
                 process.condemn("has asked for what it cannot have")
@@ -296,7 +296,7 @@ class Seat:
             value: Any = None
             failed: BaseException | None = None
             try:
-                value = context.run(plain, *args, **options)
+                value = context.run(plain, *args, **options or {})
             except Exception as error:
                 failed = error
             process.answer(number, value, failed)
@@ -311,7 +311,7 @@ class Seat:
         asked = Asked(number, process.lateness(busy))
         tasks[number] = spawn(
             self.loop,
-            process.work(number, waits, asked, *args, **options),
+            process.work(number, waits, asked, *args, **options or {}),
             name=f"{self.name} {verb}",
             owner=self._owner,
             context=context,

@@ -1,17 +1,20 @@
 """Messages between a robot's process and a child: whole, bounded, plain data.
 
-A message is a list of items, coded by `esair.codec`. What does not fit into a packet goes
-as a file in memory beside it, so that no message is sent in part and nobody waits for room.
+A message is a kind, a moment and items, whose values `esair.codec` has coded. What does not
+fit into a packet goes as a file in memory beside it, so that no message is sent in part and
+nobody waits for room.
 Both sides call, answer and cancel in the same way (`Exchange`).
 """
 
 from __future__ import annotations
 
+import array
 import asyncio
 import contextlib
 import fcntl
 import os
 import socket
+import struct
 from collections.abc import Awaitable, Callable, Iterable
 from typing import Any, Final, NamedTuple
 
@@ -51,8 +54,35 @@ ALWAYS: Final = [
 ]
 """The classes that cross whatever a component declares."""
 
+GO: Final = b"g"
+"""What the robot says: go on, it is so late."""
+
+IDLE: Final = b"i"
+"""What a child says: nothing in it is ready, go on at a moment; `NEVER`: at none."""
+
+TURN: Final = b"t"
+"""There is more to tell, or it waits for an answer: go on at once."""
+
+SYNC: Final = b"s"
+"""The same, but its loop does not go on."""
+
+TICK: Final = b"k"
+"""Something of its own has come to it: what time is it?"""
+
+CALL: Final = b"c"
+CANCEL: Final = b"x"
+DONE: Final = b"d"
+FAIL: Final = b"f"
+NEWS: Final = b"n"
+"""Something of a call before its end."""
+
+WITHDRAWN: Final = b"w"
+"""The asker of a request wants it no more."""
+
 _FILE: Final = b"\0"
-_PLAIN: Final = Kinds()
+_HEAD: Final = struct.Struct("<cd")
+_ITEM: Final = struct.Struct("<cqHI")
+_FILES: Final = socket.CMSG_SPACE(4 * 4)
 
 End = Callable[[Any, BaseException | None], object]
 """What is called with the value or the error of a call."""
@@ -62,13 +92,13 @@ class Item(NamedTuple):
     """One thing that is told: a call, its end, or that it shall end.
 
     Attributes:
-        op: ``call``, ``cancel``, ``done`` or ``fail``.
+        op: What: `CALL`, `CANCEL`, `DONE`, `FAIL`, `NEWS` or `WITHDRAWN`.
         number: That of the call, given by the side that calls.
         verb: What is called.
         data: Its arguments, its value or its error, coded.
     """
 
-    op: str
+    op: bytes
     number: int
     verb: str
     data: bytes
@@ -88,14 +118,17 @@ class Wire:
             self._end.shutdown(socket.SHUT_RDWR)  # a thread may wait for it
         self._end.close()
 
-    def send(self, head: Any, items: Iterable[Item]) -> None:
+    def send(self, kind: bytes, moment: float, items: Iterable[Item] = ()) -> None:
         """Send a message.
 
         Raises:
             OSError: The other end is gone.
         """
-        parts = [tuple(each) for each in items]
-        data = encode((head, parts), _PLAIN, MESSAGE + PACKET)
+        parts = [_HEAD.pack(kind, moment)]
+        for op, number, verb, coded in items:
+            name = verb.encode()
+            parts += _ITEM.pack(op, number, len(name), len(coded)), name, coded
+        data = b"".join(parts)
         if len(data) <= PACKET:
             self._end.send(data)
             return
@@ -108,43 +141,55 @@ class Wire:
         finally:
             os.close(file)
 
-    def receive(self) -> tuple[Any, list[Item]] | None:
-        """Return the next message; None if the other end is gone.
+    def receive(self) -> tuple[bytes, float, list[Item]] | None:
+        """Return the next message, as it is sent; None if the other end is gone.
 
         Raises:
             BlockingIOError: There is none, and the socket does not wait.
             CodecError: It is no message.
         """
-        data, files, _, _ = socket.recv_fds(
-            self._end, PACKET, 4, socket.MSG_CMSG_CLOEXEC
+        data, beside, _, _ = self._end.recvmsg(
+            PACKET, _FILES, socket.MSG_CMSG_CLOEXEC
         )
-        try:
-            if data == _FILE and files:
-                data = _contents(files[0])
-        finally:
-            for file in files:
-                os.close(file)
+        if beside:
+            data = _contents(data, beside)
         if not data:
             return None
-        match decode(data, _PLAIN, MESSAGE + PACKET):
-            case (head, list(parts)) if all(_is_item(each) for each in parts):
-                if len(parts) > ITEMS:
-                    raise CodecError(f"it has {len(parts)} items")
-                return head, [Item(*each) for each in parts]
-        raise CodecError("it is no message")
+        try:
+            kind, moment = _HEAD.unpack_from(data)
+            items: list[Item] = []
+            place, end = _HEAD.size, len(data)
+            while place < end and len(items) <= ITEMS:
+                op, number, name, size = _ITEM.unpack_from(data, place)
+                verb = place + _ITEM.size
+                value = verb + name
+                place = value + size
+                items.append(
+                    Item(op, number, data[verb:value].decode(), data[value:place])
+                )
+        except (struct.error, UnicodeDecodeError):
+            raise CodecError("it is no message") from None
+        if place != end or len(items) > ITEMS:
+            raise CodecError("it is no message")
+        return kind, moment, items
 
 
-def _is_item(part: Any) -> bool:
-    return type(part) is tuple and tuple(map(type, part)) == (str, int, str, bytes)
-
-
-def _contents(file: int) -> bytes:
+def _contents(data: bytes, beside: list[tuple[int, int, bytes]]) -> bytes:
     """Read a file in memory: another kind of file could keep its reader waiting."""
-    fcntl.fcntl(file, fcntl.F_GET_SEALS)
-    size = os.fstat(file).st_size
-    if size > MESSAGE + PACKET:
-        raise CodecError(f"it has {size} bytes")
-    return os.pread(file, size, 0)
+    files = array.array("i")
+    for _, _, each in beside:
+        files.frombytes(each[: len(each) // 4 * 4])
+    try:
+        if data != _FILE:
+            return data
+        fcntl.fcntl(files[0], fcntl.F_GET_SEALS)
+        size = os.fstat(files[0]).st_size
+        if size > MESSAGE + PACKET:
+            raise CodecError(f"it has {size} bytes")
+        return os.pread(files[0], size, 0)
+    finally:
+        for file in files:
+            os.close(file)
 
 
 class Exchange:
@@ -179,10 +224,10 @@ class Exchange:
         data = self.pack(verb, asked)
         self.newest += 1
         self.calls[self.newest] = end
-        self.tell("call", self.newest, verb, data)
+        self.tell(CALL, self.newest, verb, data)
         return self.newest
 
-    def tell(self, op: str, number: int, verb: str = "", data: bytes = b"") -> None:
+    def tell(self, op: bytes, number: int, verb: str = "", data: bytes = b"") -> None:
         """Tell the other side something with the next message."""
         self.queue.append(Item(op, number, verb, data))
 
@@ -190,11 +235,11 @@ class Exchange:
         """Tell the other side the end of its call."""
         if error is None:
             try:
-                self.tell("done", number, data=self.pack("answer", value))
+                self.tell(DONE, number, data=self.pack("answer", value))
                 return
             except Exception as unfit:
                 error = unfit
-        self.tell("fail", number, data=self.pack_error(error))
+        self.tell(FAIL, number, data=self.pack_error(error))
 
     async def work(
         self,
@@ -221,7 +266,7 @@ class Exchange:
     def opened(self, item: Item) -> tuple[Any, BaseException | None]:
         """Return the value of an item, or the error that it is, or why it is none."""
         try:
-            if item.op == "fail":
+            if item.op == FAIL:
                 return None, self.unpack_error(item.data)
             return self.unpack(item.data) if item.data else None, None
         except CodecError as error:

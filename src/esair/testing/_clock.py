@@ -194,16 +194,16 @@ class VirtualLoop(TurnLoop):
                 if not self._threads.outside(door):
                     if self._watches_nothing():
                         raise DeadlockError(f"every task waits:\n{self._tasks()}")
-                    return self._others(self._select(None))
+                    return self._others(self._look(None))
             # In real time, until something comes in, or a thread has fallen asleep.
-            if not (events := self._select(LOOK)):
+            if not (events := self._look(LOOK)):
                 self._threads.look(door, self._passes)
             elif events := self._others(events):
                 return events
             self._count()
         if self._stopping:  # type: ignore[attr-defined]
             self._put_back(ready)
-        return self._others(self._select(0.0))
+        return self._others(self._look(0.0))
 
     def _count(self) -> None:
         self._passes += 1
