@@ -9,6 +9,7 @@ import math
 import os
 import signal
 import socket
+import sys
 import time
 import warnings
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -287,6 +288,19 @@ class Performer(esair.Behavior):
             await self.wheels.write(Twist(0.7, 0.0))
         else:
             await self.perform(Turn(self.act))
+
+
+class Loaded(esair.Behavior):
+    """Puts which modules of esair its process had to load, beside what it began with."""
+
+    placement = "process"
+
+    async def run(self) -> None:
+        import esair.testing  # noqa: F401
+
+        names = list(sys.modules)
+        own = names[names.index(__name__) :]
+        await self.put("taker", [each for each in own if each.startswith("esair.")])
 
 
 class Talker(esair.Behavior):

@@ -18,6 +18,7 @@ from tests.placement.parts import (
     Docked,
     Docking,
     Drive,
+    Loaded,
     Pusher,
     SmallAvoid,
     SmallSonar,
@@ -106,6 +107,21 @@ async def test_a_behavior_drives_from_its_process(kind: type[Any]) -> None:
 
         assert wheels.commands[-1] == STOP
         await until(lambda: not lives(pid))
+
+
+async def test_a_process_begins_with_what_the_robot_has_of_esair() -> None:
+    """It is one for all of them: loaded once, not by each, and one memory."""
+
+    class Taker(esair.Behavior):
+        told: Any = None
+
+        async def run(self) -> None:
+            self.told = await self.receive()
+
+    taker = Taker(name="taker")
+    async with esair.Robot(behaviors=[taker, Loaded(name="loaded")]):
+        await until(lambda: taker.told is not None)
+        assert taker.told == []
 
 
 @pytest.mark.promise("PLC-1")

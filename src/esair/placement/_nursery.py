@@ -1,7 +1,7 @@
 """Where children come from: a process that does nothing but fork.
 
 `Nursery` is that process as the robot's sees it; `Server` is the program that runs in it. It
-has esair imported, no thread and no device. Each request comes with the descriptors of one
+has imported what the robot's has of esair, no thread and no device. Each request comes with the descriptors of one
 child; what becomes of the child is told on the last of them. It ends with the process that
 has started it, and its children end with it: it watches for that, and the kernel does.
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import gc
+import importlib
 import os
 import select
 import signal
@@ -63,6 +64,7 @@ class Nursery:
                     "-m",
                     "esair.placement._nursery",
                     *map(str, arguments),
+                    *(each for each in sys.modules if each.startswith("esair.")),
                 ],
                 stdin=subprocess.DEVNULL,
                 pass_fds=(its.fileno(), me),
@@ -154,12 +156,15 @@ def _die_with_parent(parent: int) -> None:
 
 def main() -> None:
     """Serve until the process that has started this one is gone."""
-    control_fd, parent_fd, parent, dies = map(int, sys.argv[1:])
+    control_fd, parent_fd, parent, dies = map(int, sys.argv[1:5])
     if dies:
         _die_with_parent(parent)
     # Each child has it from the start: what it is made of, and what its module asks for.
-    import esair.placement._child  # noqa: F401
-
+    # What the robot's process has loaded too, the module of a component is likely to want.
+    for each in ("esair.placement._child", *sys.argv[5:]):
+        if not each.endswith("__main__"):
+            with contextlib.suppress(ImportError):
+                importlib.import_module(each)
     gc.collect()
     gc.freeze()  # what is there is never written to: it is one for all
     control = socket.socket(fileno=control_fd)

@@ -285,7 +285,9 @@ class Seat:
     def _serve(self, number: int, verb: str, given: Any) -> None:
         process = self.lives
         match given:
-            case (int(scope), float(busy), None | dict() as options, *args) if busy >= 0.0:
+            case (int(scope), float(busy), None | dict() as options, *args) if (
+                busy >= 0.0
+            ):
                 pass
             case _:
                 process.condemn("has asked for what it cannot have")

@@ -148,9 +148,7 @@ class Wire:
             BlockingIOError: There is none, and the socket does not wait.
             CodecError: It is no message.
         """
-        data, beside, _, _ = self._end.recvmsg(
-            PACKET, _FILES, socket.MSG_CMSG_CLOEXEC
-        )
+        data, beside, _, _ = self._end.recvmsg(PACKET, _FILES, socket.MSG_CMSG_CLOEXEC)
         if beside:
             data = _contents(data, beside)
         if not data:
