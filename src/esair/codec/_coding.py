@@ -137,9 +137,11 @@ class _Walk:
 
     def nest(self, depth: int, items: int) -> int:
         """Go into something of so many items; return how deep it may still go."""
+        self.items -= items
         if depth <= 0:
             raise CodecError(f"it is nested deeper than {DEPTH}")
-        self.count(items)
+        if self.items < 0:
+            self.count(0)
         return depth - 1
 
 
@@ -187,7 +189,8 @@ class _Writer(_Walk):
 
     def head(self, tag: bytes, size: int, depth: int, weight: int = 1) -> int:
         depth = self.nest(depth, weight + size)
-        self.check_size()
+        if len(self.out) > self.limit:
+            self.check_size()
         self.out += _put_size(tag, size)
         return depth
 
@@ -386,6 +389,8 @@ class _Reader(_Walk):
             self.place = place + 2
             return self.slice(data[place + 1]).decode("utf-8", "surrogatepass")
         self.place = place + 1
+        if tag == 0x4E:  # N
+            return None
         if tag == 0x74:  # t
             return tuple(self.row(depth))
         if tag == 0x69:  # i
@@ -410,7 +415,9 @@ class _Reader(_Walk):
         return self.slice(*self.next(_SIZE))
 
     def head(self, depth: int, weight: int = 1, each: int = 1) -> tuple[int, int]:
-        (size,) = self.next(_SIZE)
+        place = self.place
+        self.place = place + 4
+        size = _SIZE.unpack_from(self.data, place)[0]
         return size, self.nest(depth, weight + each * size)
 
     def row(self, depth: int, weight: int = 1) -> list[Any]:
@@ -724,7 +731,6 @@ _OF_FORM: Final[dict[Form, Callable[[_Writer, type, Shape, Any, int], None]]] = 
 _TAKE: Final[dict[int, Callable[[_Reader, int], Any]]] = {
     ord(tag): take
     for tag, take in {
-        b"N": lambda _reader, _: None,
         b"T": lambda _reader, _: True,
         b"F": lambda _reader, _: False,
         b"I": lambda reader, _: reader.whole(),
