@@ -88,6 +88,11 @@ class Turn(OfLoop):
         """Begins to repeat the run that `player` has."""
         self.early = EARLY
         """How far ahead something is due already, in ns; nothing where time jumps."""
+        self.listen: Callable[[int, Callable[[], object]], object]
+        """Calls a function when a file can be read; just before the border if it can, so
+        that what it has for the door takes effect at once."""
+        self.forget: Callable[[int], object]
+        """Listens to a file no more, that is to be closed."""
         self._timer: asyncio.TimerHandle | None = None
         self._is_asked = False
         self._is_at_border = False
@@ -109,6 +114,7 @@ class Turn(OfLoop):
 
     def _take_over(self, loop: Any) -> None:
         self.time = self.clock = _clock_of_stranger(loop)
+        self.listen, self.forget = loop.add_reader, loop.remove_reader
 
     def want(self, due: float) -> None:
         """Have the steppers look at a moment, in ns; called in the loop."""
@@ -144,18 +150,6 @@ class Turn(OfLoop):
         if self.door.has_news:
             return 0.0
         return min(each.gap() for each in self._steppers)
-
-    def listen(self, file: int, function: Callable[[], object]) -> None:
-        """Call a function when a file can be read: as a rule it has news for the door.
-
-        A loop that comes to the border by itself calls it just before, so that the news
-        take effect at once. `forget` it before the file is closed.
-        """
-        self.loop.add_reader(file, function)
-
-    def forget(self, file: int) -> None:
-        """Listen to a file no more; fine if it is not listened to."""
-        self.loop.remove_reader(file)
 
     def ring(self) -> None:
         """Have the loop come to the border, from any thread.
@@ -196,14 +190,6 @@ OfTurn.made_by = Turn.of
 class OwnTurn(Turn):
     """The turns of a loop that comes to the border by itself."""
 
-    def listen(self, file: int, function: Callable[[], object]) -> None:
-        """Call a function when a file can be read, before the border."""
-        self.loop.listen(file, function)  # type: ignore[attr-defined]
-
-    def forget(self, file: int) -> None:
-        """Listen to a file no more; fine if it is not listened to."""
-        self.loop.forget(file)  # type: ignore[attr-defined]
-
     def ring(self) -> None:
         """Wake the selector, from any thread."""
         self.loop.ring()  # type: ignore[attr-defined]
@@ -215,6 +201,7 @@ class OwnTurn(Turn):
         self.early = 0 if loop.virtual else EARLY
         self.repeats = not loop.virtual
         self.keep, self.play = loop.keep, loop.play
+        self.listen, self.forget = loop.listen, loop.forget
 
     def want(self, due: float) -> None:
         """Have the steppers look at a moment, in ns: the selector does."""
@@ -284,7 +271,8 @@ class TurnLoop(asyncio.SelectorEventLoop):
         self._works = itertools.count(1)
         selector: Any = selectors.DefaultSelector()
         super().__init__(selector)
-        self._listens: dict[int, Callable[[], object]] = {}
+        bell = self._ssock.fileno()  # type: ignore[attr-defined]
+        self._listens = {bell: self._read_from_self}  # type: ignore[attr-defined]
         self._rises = False  # it is on its way to the border: nobody has to ring
         self._turn = OwnTurn(self)
         self._alarm = None if self.virtual else Alarm.on(self)
@@ -426,11 +414,10 @@ class TurnLoop(asyncio.SelectorEventLoop):
                 self._alarm.set(turn.due)
             elif gap < NEVER:
                 timeout = gap if timeout is None else min(timeout, gap)
-        return self._look(timeout)
+        return self._others(self._select(timeout))
 
-    def _look(self, timeout: float | None) -> Any:
+    def _others(self, events: Any) -> Any:
         """Return what there is for asyncio; what is listened to is heard."""
-        events = self._select(timeout)
         if events:
             listens = self._listens
             self._rises = True
@@ -447,7 +434,7 @@ class TurnLoop(asyncio.SelectorEventLoop):
     def _replay(self, timeout: float | None) -> Any:
         turn, player = self._turn, self.player
         assert player is not None
-        events = self._look(0.0)
+        events = self._others(self._select(0.0))
         turn.number += 1
         moment = None if player.is_over else player.next_turn()
         if moment is not None:
@@ -465,7 +452,7 @@ class TurnLoop(asyncio.SelectorEventLoop):
         gap = max(0.0, min(turn.gap(), math.inf if timeout is None else timeout))
         if gap == 0.0:
             return ()
-        events = self._look(0.001)  # what threads still do
+        events = self._others(self._select(0.001))  # what threads still do
         if not (events or turn.door.has_news) and gap < math.inf:
             self._now += gap
         return events

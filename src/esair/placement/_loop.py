@@ -28,7 +28,8 @@ class ChildLoop(TurnLoop):
         """How often it has gone on to what is ready."""
         super().__init__()
         self._home = home
-        self._selector.register(home.fileno(), select.POLLIN)  # type: ignore[attr-defined]
+        self._is_told = False
+        self.listen(home.fileno(), self._told)
         self._waits = select.poll()
         self._waits.register(home.fileno(), select.POLLIN)
 
@@ -66,16 +67,15 @@ class ChildLoop(TurnLoop):
         """Be idle until the robot says something; it also says what time it is."""
         wake = min(self._first(), self._turn.due / SECOND)
         self._home.idle(max(wake, self._now))
-        events = self._select(None)
-        while all(each[0].fd != self._home.fileno() for each in events):
-            others = self._others(events)
-            if others or self._ready or self._turn.door.ripen(works=True):  # type: ignore[attr-defined]
+        self._is_told = False
+        while True:  # a thread that has ended its work may ring late
+            events = self._others(self._select(None))
+            if self._is_told:
+                break
+            if events or self._ready or self._turn.door.ripen(works=True):  # type: ignore[attr-defined]
                 self._home.tick()  # something of its own: it has to know when that is
                 self._waits.poll()
-                events = others
                 break
-            events = self._select(None)  # a thread that has ended its work rang late
-        events = self._others(events)
         self._now = max(self._now, self._home.hear())
         self._clock_resolution = max(1e-9, 2 * math.ulp(self._now))
         return events
@@ -89,10 +89,5 @@ class ChildLoop(TurnLoop):
             self._timer_cancelled_count = max(0, count - 1)
         return float(scheduled[0]._when) if scheduled else NEVER
 
-    def _others(self, events: Any) -> Any:
-        """Return the events that are neither a wake-up nor a message."""
-        own = self._ssock.fileno()  # type: ignore[attr-defined]
-        if any(each[0].fd == own for each in events):
-            self._read_from_self()  # type: ignore[attr-defined]
-        mine = {own, self._home.fileno()}
-        return [each for each in events if each[0].fd not in mine]
+    def _told(self) -> None:
+        self._is_told = True

@@ -194,16 +194,16 @@ class VirtualLoop(TurnLoop):
                 if not self._threads.outside(door):
                     if self._watches_nothing():
                         raise DeadlockError(f"every task waits:\n{self._tasks()}")
-                    return self._others(self._look(None))
+                    return self._others(self._select(None))
             # In real time, until something comes in, or a thread has fallen asleep.
-            if not (events := self._look(LOOK)):
+            if not (events := self._select(LOOK)):
                 self._threads.look(door, self._passes)
             elif events := self._others(events):
                 return events
             self._count()
         if self._stopping:  # type: ignore[attr-defined]
             self._put_back(ready)
-        return self._others(self._look(0.0))
+        return self._others(self._select(0.0))
 
     def _count(self) -> None:
         self._passes += 1
@@ -228,14 +228,6 @@ class VirtualLoop(TurnLoop):
             self._clock_resolution = self._resolution()
             self._passes = 0
         return True
-
-    def _others(self, events: Any) -> Any:
-        """Return the events that are not just a wake-up."""
-        own = self._ssock.fileno()  # type: ignore[attr-defined]
-        others = [each for each in events if each[0].fd != own]
-        if len(others) < len(events):
-            self._read_from_self()  # type: ignore[attr-defined]
-        return others
 
     def _put_back(self, ready: Any) -> None:
         ready.extend(self._aside)
