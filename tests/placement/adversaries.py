@@ -14,13 +14,13 @@ from typing import Any
 from tests.placement.parts import Twist
 
 import esair
-from esair.placement._wire import CALL, DONE, IDLE, Item
+from esair.placement._wire import Item, Op
 
 MANY = 1000
 
 
 def flood(child: Any, count: int, item: Callable[[int], Item]) -> None:
-    child._wire.send(IDLE, math.inf, [item(number) for number in range(count)])
+    child._wire.send(Op.IDLE, math.inf, [item(number) for number in range(count)])
     child._has_turn = False
 
 
@@ -41,11 +41,11 @@ def swallow(child: Any) -> None:
 
 
 def call(child: Any, number: int, verb: str, *args: Any, busy: Any = 0.0) -> Item:
-    return Item(CALL, number, verb, child.pack("x", (0, busy, None, *args)))
+    return Item(Op.CALL, number, verb, child.pack("x", (0, busy, None, *args)))
 
 
 def wake(child: Any, when: float) -> None:
-    child._wire.send(IDLE, when)
+    child._wire.send(Op.IDLE, when)
     child._has_turn = False
 
 
@@ -84,7 +84,7 @@ LIES: dict[str, Callable[[Any], object]] = {
         child, 2 * MANY, lambda number: call(child, number, "query", "liar")
     ),
     "answers to nobody": lambda child: flood(
-        child, 20 * MANY, lambda number: Item(DONE, 9 + number, "", b"")
+        child, 20 * MANY, lambda number: Item(Op.DONE, 9 + number, "", b"")
     ),
     "busy for ever": lambda child: child.queue.append(
         call(child, 9, "port", "wheels", "write", Twist(1.0, 1.0), busy=math.nan)

@@ -19,7 +19,7 @@ import attrs
 
 import esair
 import esair.minimal as emin
-from esair.placement._wire import CALL, IDLE, TICK, Item
+from esair.placement._wire import Item, Op
 
 
 @attrs.frozen
@@ -328,10 +328,10 @@ class Liar(esair.Behavior):
         wire: Any = child._wire
         data = child.pack("x", (0, 0.0, None))
         bad = {
-            "verb": Item(CALL, 9, "__class__", data),
-            "port": Item(CALL, 9, "port", child.pack("x", "nonsense")),
+            "verb": Item(Op.CALL, 9, "__class__", data),
+            "port": Item(Op.CALL, 9, "port", child.pack("x", "nonsense")),
             "method": Item(b"?", 9, "port", b"nonsense"),
-            "private": Item(CALL, 9, "next order", data),
+            "private": Item(Op.CALL, 9, "next order", data),
         }
         if self.lie in bad:
             child.queue.append(bad[self.lie])
@@ -339,10 +339,10 @@ class Liar(esair.Behavior):
             wire._end.send(b"\x01garbage")
         elif self.lie == "flood":
             for _ in range(100):
-                wire.send(TICK, 0.0)
+                wire.send(Op.TICK, 0.0)
         elif self.lie == "turn":
-            wire.send(IDLE, math.inf)
-            wire.send(IDLE, math.inf)
+            wire.send(Op.IDLE, math.inf)
+            wire.send(Op.IDLE, math.inf)
         elif self.lie == "files":
             read, _ = os.pipe()
             socket.send_fds(wire._end, [b"\0"], [read])

@@ -43,8 +43,11 @@ class Owner:
         self.told: Sequence[asyncio.Task[Any]] = ()
         """Those of its tasks that were cancelled: each has its grace to clean up."""
 
-    def adopt(self, task: asyncio.Task[Any]) -> None:
-        """Remember a task until it is done. The loop itself keeps only weak references."""
+    def adopt(self, task: asyncio.Task[Any], *, leaves: bool = False) -> None:
+        """Remember a task until it is done, or until it leaves itself.
+
+        The loop itself keeps only weak references.
+        """
         if self._first is None or self._first.done():
             self._first = task
             return
@@ -52,11 +55,17 @@ class Owner:
         if others is None:
             others = self._others = {}
         others[task] = None
-        task.add_done_callback(lambda done: others.pop(done, None))
+        if not leaves:
+            task.add_done_callback(lambda done: others.pop(done, None))
+
+    def leave(self, task: Any) -> None:
+        """Let go of a task that ends now: a callback would cost a turn of the loop."""
+        if self._others is not None:
+            self._others.pop(task, None)
 
     def living(self) -> list[asyncio.Task[Any]]:
         """Return the tasks that are not done, as they were made; the first one last."""
-        tasks = list(self._others or ())
+        tasks = [each for each in self._others or () if not each.done()]
         if self._first is not None and not self._first.done():
             tasks.append(self._first)
         return tasks
@@ -76,13 +85,15 @@ def spawn(
     name: str,
     owner: Owner | None = None,
     context: contextvars.Context | None = None,
+    leaves: bool = False,
 ) -> asyncio.Task[T]:
     """Start a task that belongs to esair itself, or to an owner.
 
     It begins with the context variables of the script that has started the robot,
     unless a context is given, so that what it starts is not mistaken for work of the
     component that happened to call. It never begins before this returns, even if the
-    loop's factory makes eager tasks: esair's own records are complete then.
+    loop's factory makes eager tasks: esair's own records are complete then. One that
+    leaves tells its owner of its end itself, see `Owner.leave`.
     """
     tasks = OwnedTasks.of(loop)
     if context is None:
@@ -93,7 +104,7 @@ def spawn(
     context.run(_owner.set, owner)
     number = next(tasks.numbers)
     task = Task(number, coroutine, loop=loop, name=name, context=context)
-    owner.adopt(task)
+    owner.adopt(task, leaves=leaves)
     return task
 
 

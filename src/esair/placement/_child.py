@@ -29,22 +29,13 @@ from esair.placement._loop import ChildLoop
 from esair.placement._verbs import SCRIPT_OF_CHILD
 from esair.placement._wire import (
     ALWAYS,
-    CALL,
     CALLS,
-    CANCEL,
-    DONE,
-    FAIL,
-    IDLE,
     ITEMS,
-    NEWS,
     RECORD,
-    SYNC,
-    TICK,
-    TURN,
-    WITHDRAWN,
     End,
     Exchange,
     Item,
+    Op,
     Wire,
     make,
     settle,
@@ -158,10 +149,10 @@ class Child(Exchange):
             faulthandler.cancel_dump_traceback_later()
         if self._has_turn:
             self._has_turn = False
-            self._send(IDLE, wake)
+            self._send(Op.IDLE, wake)
 
     def tick(self) -> None:
-        self._wire.send(TICK, NEVER)
+        self._wire.send(Op.TICK, NEVER)
 
     def hear(self) -> float:
         """Take what the robot says; return what time it is there."""
@@ -172,8 +163,8 @@ class Child(Exchange):
 
     def _send(self, kind: bytes, wake: float = NEVER) -> None:
         items = self.message()
-        if self.queue and kind == IDLE:
-            kind = TURN  # there is more to tell
+        if self.queue and kind == Op.IDLE:
+            kind = Op.TURN  # there is more to tell
         try:
             self._wire.send(kind, wake, items)
         except OSError:
@@ -220,9 +211,9 @@ class Child(Exchange):
         goes_on = self.loop.passes != self._asked_at
         self._asked_at = self.loop.passes
         while not outcome:
-            self._send(TURN if goes_on else SYNC)
+            self._send(Op.TURN if goes_on else Op.SYNC)
             for item in self._receive(goes_on=goes_on)[1]:
-                if item.number == number and item.op in {DONE, FAIL}:
+                if item.number == number and item.op in {Op.DONE, Op.FAIL}:
                     self.ended(number, *self.opened(item))
                 else:
                     self.loop.call_soon(self._take, item)
@@ -265,13 +256,13 @@ class Child(Exchange):
 
     def _take(self, item: Item) -> None:
         op, number, verb, data = item
-        if op == CALL:
+        if op == Op.CALL:
             self._begin(number, verb, data)
-        elif op == CANCEL:
+        elif op == Op.CANCEL:
             self.cancel(number)
-        elif op == NEWS:
+        elif op == Op.NEWS:
             self._news[number](self.unpack(data))
-        elif op == WITHDRAWN:
+        elif op == Op.WITHDRAWN:
             self.orders[number]()
         else:
             self._news.pop(number, None)
@@ -295,6 +286,7 @@ class Child(Exchange):
             name=f"{self.name} {verb}",
             owner=self.owner,
             context=context,
+            leaves=True,
         )
 
     def _method(self, verb: str) -> Callable[..., Any]:
@@ -397,7 +389,7 @@ class Outcome(asyncio.Future[Any]):
 
     def cancel(self, msg: Any | None = None) -> bool:
         if self._child.calls.pop(self.number, None) is not None:
-            self._child.tell(CANCEL, self.number)
+            self._child.tell(Op.CANCEL, self.number)
         return super().cancel(msg)
 
 

@@ -1,9 +1,10 @@
 """Where children come from: a process that does nothing but fork.
 
 `Nursery` is that process as the robot's sees it; `Server` is the program that runs in it. It
-has imported what the robot's has of esair, no thread and no device. Each request comes with the descriptors of one
-child; what becomes of the child is told on the last of them. It ends with the process that
-has started it, and its children end with it: it watches for that, and the kernel does.
+has loaded of esair what the robot's has; it has no thread and no device. Each request comes
+with the descriptors of one child; what becomes of the child is told on the last of them. It
+ends with the process that has started it, and its children end with it: it watches for that,
+and the kernel does.
 """
 
 from __future__ import annotations

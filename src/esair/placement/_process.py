@@ -35,23 +35,7 @@ from esair.loop import (
 )
 from esair.messages import Placement
 from esair.placement._nursery import Nursery, told_end
-from esair.placement._wire import (
-    CALL,
-    CANCEL,
-    DONE,
-    FAIL,
-    GO,
-    IDLE,
-    RECORD,
-    SYNC,
-    TICK,
-    TURN,
-    End,
-    Exchange,
-    Item,
-    Wire,
-    settle,
-)
+from esair.placement._wire import RECORD, End, Exchange, Item, Op, Wire, settle
 
 STACK: Final = 0.05
 """How long a child that hangs has to say where, before it is killed, in seconds."""
@@ -168,7 +152,7 @@ class Process(Exchange):
             waiter = self._loop.create_future()
             self.calls[number] = settle(waiter)
             self._told_to_end.add(number)
-            self.tell(CANCEL, number)
+            self.tell(Op.CANCEL, number)
             try:
                 return await waiter
             finally:
@@ -226,7 +210,7 @@ class Process(Exchange):
             self._end_work()
             return
         with contextlib.suppress(OSError):  # it is gone: its status tells more
-            self._wire.send(GO, now, self.message())
+            self._wire.send(Op.GO, now, self.message())
 
     def _readable(self) -> None:
         try:
@@ -253,12 +237,12 @@ class Process(Exchange):
                 self._arrived(*message)
 
     def _arrived(self, kind: bytes, wake: float, items: list[Item]) -> None:
-        if kind == TICK and not items:
+        if kind == Op.TICK and not items:
             self._ticks += 1
             if self._ticks <= 2:
                 self._door.post(0, self._tag, self._ticked)
                 return
-        elif kind in {IDLE, TURN, SYNC} and self._work and wake > -NEVER:
+        elif kind in {Op.IDLE, Op.TURN, Op.SYNC} and self._work and wake > -NEVER:
             args = self._work, kind, wake, items
             self._work = 0
             if sum(len(each.data) for each in items) <= LARGE:
@@ -290,7 +274,7 @@ class Process(Exchange):
         """A message of the child takes effect."""
         if self.error is not None:
             return
-        if kind != SYNC:  # else its loop does not go on: it may ask for ever
+        if kind != Op.SYNC:  # else its loop does not go on: it may ask for ever
             self._hang.cancel()
         for each in items:
             try:
@@ -300,7 +284,7 @@ class Process(Exchange):
             if self.error is not None:
                 return
         self._idle = True
-        if self.queue or kind != IDLE:
+        if self.queue or kind != Op.IDLE:
             self._send()
         elif wake < NEVER:
             self._wanted = wake
@@ -317,13 +301,13 @@ class Process(Exchange):
 
     def _apply(self, item: Item, value: Any, error: BaseException | None) -> None:
         op, number, verb, _ = item
-        if op == CALL and error is None:
+        if op == Op.CALL and error is None:
             self._serve(number, verb, value)
-        elif op == CALL:
+        elif op == Op.CALL:
             self.answer(number, None, error)
-        elif op == CANCEL:
+        elif op == Op.CANCEL:
             self.cancel(number)
-        elif op in {DONE, FAIL}:
+        elif op in {Op.DONE, Op.FAIL}:
             self._told_to_end.discard(number)
             self.scopes.pop(number, None)
             self.ended(number, value, error)

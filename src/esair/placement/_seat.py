@@ -317,6 +317,7 @@ class Seat:
             name=f"{self.name} {verb}",
             owner=self._owner,
             context=context,
+            leaves=True,
         )
 
     def _died(self, error: ProcessDiedError) -> None:

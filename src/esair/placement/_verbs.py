@@ -13,7 +13,7 @@ from esair.actions import Behavior, Reaction, adapt_action
 from esair.exceptions import AccessDeniedError, ConfigError
 from esair.loop import clock_of, wake
 from esair.messages import Access, Refused
-from esair.placement._wire import NEWS, WITHDRAWN, End, make
+from esair.placement._wire import End, Op, make
 from esair.plan import SCRIPT
 from esair.values import check_duration
 
@@ -264,7 +264,7 @@ class BehaviorVerbs(PortVerbs):
         is_set_up, is_over = stages = loop.create_future(), loop.create_future()
 
         async def setup() -> None:
-            self._seat.reply(NEWS, asked.number, None)
+            self._seat.reply(Op.NEWS, asked.number, None)
             await is_set_up
 
         async def run() -> None:
@@ -307,7 +307,7 @@ class BehaviorVerbs(PortVerbs):
         self, asked: Asked, receiver: str, request: Any, timeout: Any, progress: bool
     ) -> Any:
         def tell(news: Any) -> None:
-            self._seat.reply(NEWS, asked.number, news)
+            self._seat.reply(Op.NEWS, asked.number, news)
 
         return await Behavior.ask(
             self._behavior,
@@ -366,7 +366,7 @@ class BehaviorVerbs(PortVerbs):
                 except asyncio.CancelledError:
                     loop = asyncio.get_running_loop()
                     left = self._left[number] = loop.create_future()
-                    self._seat.reply(WITHDRAWN, number, None)
+                    self._seat.reply(Op.WITHDRAWN, number, None)
                     await left
                     raise
                 if error is not None:

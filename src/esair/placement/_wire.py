@@ -28,7 +28,7 @@ from esair.exceptions import (
     describe,
     told_traceback,
 )
-from esair.loop import raisable
+from esair.loop import current_owner, raisable
 
 CALLS: Final = 64
 """How many calls of one side may be in flight."""
@@ -54,30 +54,18 @@ ALWAYS: Final = [
 ]
 """The classes that cross whatever a component declares."""
 
-GO: Final = b"g"
-"""What the robot says: go on, it is so late."""
 
-IDLE: Final = b"i"
-"""What a child says: nothing in it is ready, go on at a moment; `NEVER`: at none."""
+class Op:
+    """What an item says of a call, and with what kind of message it goes.
 
-TURN: Final = b"t"
-"""There is more to tell, or it waits for an answer: go on at once."""
+    A child is idle until a moment, or for ever (`NEVER`); else it goes on at once: its turn
+    goes on, or, of a sync, its loop does not. A tick asks what time it is.
+    """
 
-SYNC: Final = b"s"
-"""The same, but its loop does not go on."""
+    CALL, CANCEL, DONE, FAIL = b"c", b"x", b"d", b"f"
+    NEWS, WITHDRAWN = b"n", b"w"  # of a call before its end; of a request
+    GO, IDLE, TURN, SYNC, TICK = b"g", b"i", b"t", b"s", b"k"
 
-TICK: Final = b"k"
-"""Something of its own has come to it: what time is it?"""
-
-CALL: Final = b"c"
-CANCEL: Final = b"x"
-DONE: Final = b"d"
-FAIL: Final = b"f"
-NEWS: Final = b"n"
-"""Something of a call before its end."""
-
-WITHDRAWN: Final = b"w"
-"""The asker of a request wants it no more."""
 
 _FILE: Final = b"\0"
 _HEAD: Final = struct.Struct("<cd")
@@ -92,7 +80,7 @@ class Item(NamedTuple):
     """One thing that is told: a call, its end, or that it shall end.
 
     Attributes:
-        op: What: `CALL`, `CANCEL`, `DONE`, `FAIL`, `NEWS` or `WITHDRAWN`.
+        op: One of `Op`.
         number: That of the call, given by the side that calls.
         verb: What is called.
         data: Its arguments, its value or its error, coded.
@@ -222,7 +210,7 @@ class Exchange:
         data = self.pack(verb, asked)
         self.newest += 1
         self.calls[self.newest] = end
-        self.tell(CALL, self.newest, verb, data)
+        self.tell(Op.CALL, self.newest, verb, data)
         return self.newest
 
     def tell(self, op: bytes, number: int, verb: str = "", data: bytes = b"") -> None:
@@ -233,11 +221,11 @@ class Exchange:
         """Tell the other side the end of its call."""
         if error is None:
             try:
-                self.tell(DONE, number, data=self.pack("answer", value))
+                self.tell(Op.DONE, number, data=self.pack("answer", value))
                 return
             except Exception as unfit:
                 error = unfit
-        self.tell(FAIL, number, data=self.pack_error(error))
+        self.tell(Op.FAIL, number, data=self.pack_error(error))
 
     async def work(
         self,
@@ -255,6 +243,8 @@ class Exchange:
             failed = error
         if self.tasks.pop(number, None) is not None:
             self.answer(number, value, failed)
+        if (owner := current_owner()) is not None:
+            owner.leave(asyncio.current_task())
 
     def cancel(self, number: int) -> None:
         """End the work on a call, whose end tells so."""
@@ -264,7 +254,7 @@ class Exchange:
     def opened(self, item: Item) -> tuple[Any, BaseException | None]:
         """Return the value of an item, or the error that it is, or why it is none."""
         try:
-            if item.op == FAIL:
+            if item.op == Op.FAIL:
                 return None, self.unpack_error(item.data)
             return self.unpack(item.data) if item.data else None, None
         except CodecError as error:
