@@ -65,7 +65,8 @@ class Owner:
 
     def living(self) -> list[asyncio.Task[Any]]:
         """Return the tasks that are not done, as they were made; the first one last."""
-        tasks = [each for each in self._others or () if not each.done()]
+        others = self._others
+        tasks = [each for each in others if not each.done()] if others else []
         if self._first is not None and not self._first.done():
             tasks.append(self._first)
         return tasks

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import itertools
 import logging
 import math
@@ -33,15 +34,7 @@ from esair.loop._door import Door
 from esair.loop._light_task import ignore, raisable, settle
 from esair.loop._of_loop import OfLoop, OfTurn
 from esair.loop._ownership import current_owner
-from esair.loop._scheduler import (
-    EARLY,
-    FAR,
-    NEVER,
-    NOW,
-    SECOND,
-    Scheduler,
-    contained,
-)
+from esair.loop._scheduler import EARLY, FAR, NEVER, NOW, SECOND, Scheduler
 from esair.loop._tape import Player, TapeWriter
 
 _log = logging.getLogger("esair")
@@ -414,21 +407,28 @@ class TurnLoop(asyncio.SelectorEventLoop):
                 self._alarm.set(turn.due)
             elif gap < NEVER:
                 timeout = gap if timeout is None else min(timeout, gap)
-        return self._others(self._select(timeout))
+        events = self._select(timeout)
+        return self._others(events) if events else events  # hot
 
     def _others(self, events: Any) -> Any:
         """Return what there is for asyncio; what is listened to is heard."""
         if events:
             listens = self._listens
             self._rises = True
-            try:
-                for each in tuple(events):
-                    function = listens.get(each[0].fd)
-                    if function is not None:
-                        events.remove(each)
-                        contained(self, function)
-            finally:
-                self._rises = False
+            for each in tuple(events):
+                function = listens.get(each[0].fd)
+                if function is None:
+                    continue
+                events.remove(each)
+                try:
+                    function()
+                except Exception as error:  # hot: `contained` would be one more call
+                    told = {"message": "a listener raised", "exception": error}
+                    self.call_exception_handler(told)
+                except BaseException:
+                    self._rises = False
+                    raise
+            self._rises = False
         return events
 
     def _replay(self, timeout: float | None) -> Any:
@@ -476,7 +476,7 @@ class Alarm:
             os.close(self._timer)
             raise
         loop.listen(self._timer, self._silence)
-        loop.listen(self._bell, self._heard)
+        loop.listen(self._bell, functools.partial(os.eventfd_read, self._bell))
 
     @classmethod
     def on(cls, loop: TurnLoop) -> Alarm | None:
@@ -504,9 +504,6 @@ class Alarm:
     def _silence(self) -> None:
         self._settime(0)
         self._due = NEVER
-
-    def _heard(self) -> None:
-        os.eventfd_read(self._bell)
 
     def close(self) -> None:
         with self._lock:
