@@ -180,6 +180,9 @@ class Acts(esair.Behavior):
             await asyncio.sleep(0.1)
             await self.perform(go)
 
+    async def do_draw(self) -> float:
+        return esair.random.random()
+
     async def do_why(self) -> str:
         return self.wheels.why().holder or ""
 

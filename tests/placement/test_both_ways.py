@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import random
 from collections.abc import Callable
 from typing import Any
 
@@ -435,6 +436,19 @@ async def test_a_restart_begins_anew(place: Place) -> None:
         assert await world.said()
         assert world.wheels.commands[1:] == [0.5, 0.0, 0.5]
         assert world.robot.behaviors.query("acts").restarts == 0
+
+
+@pytest.mark.promise("SUP-4", "PLC-7", "REP-3")
+async def test_each_life_draws_its_own_random_numbers(place: Place) -> None:
+    """Made from the seed, the name and the number of the life, wherever it runs."""
+    async with World(place(Acts(("draw",), ("draw",))), seed=7) as world:
+        for life in ("7/acts", "7/acts/2", "7/acts/3"):
+            dice = random.Random(life)
+            assert [await world.said(), await world.said()] == [
+                dice.random(),
+                dice.random(),
+            ]
+            await world.robot.behaviors.restart("acts")
 
 
 @pytest.mark.promise("SUP-3")

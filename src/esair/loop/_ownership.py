@@ -13,13 +13,9 @@ import random
 import threading
 import weakref
 from collections.abc import Callable, Coroutine, Generator, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from esair.loop._of_loop import OfLoop
-
-if TYPE_CHECKING:
-    from random import Random
-
 
 T = TypeVar("T")
 
@@ -37,7 +33,7 @@ class Owner:
         self._others: dict[asyncio.Task[Any], None] | None = None
         self.threads: tuple[threading.Thread, ...] = ()
         """The threads that run its plain functions."""
-        self.stream: Callable[[], Random] | None = None  # gives its random numbers
+        self.stream: Stream | None = None  # gives its random numbers
         self.over: bool = False
         """Its run has ended: what would not end with it speaks for nobody."""
         self.told: Sequence[asyncio.Task[Any]] = ()
@@ -375,15 +371,15 @@ class Stream:
     timer that was cancelled, must not keep a component alive that was removed.
     """
 
-    __slots__ = ("_made", "_seed")
+    __slots__ = ("_made", "seed")
 
-    def __init__(self, seed: str) -> None:
-        self._seed = seed
+    def __init__(self, seed: str | None) -> None:
+        self.seed = seed
         self._made: random.Random | None = None
 
     def __call__(self) -> random.Random:
         if self._made is None:
-            self._made = random.Random(self._seed)
+            self._made = random.Random(self.seed)
         return self._made
 
 

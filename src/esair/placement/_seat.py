@@ -39,18 +39,15 @@ class Seats:
 
     Args:
         components: Returns the components of the robot; their classes may cross.
-        seed: What the random numbers of its components begin with.
         command_timeout: Returns that of an actuator, by its name.
     """
 
     def __init__(
         self,
         components: Callable[[], Iterable[Any]],
-        seed: object,
         command_timeout: Callable[[str], float | None],
     ) -> None:
         self.kinds = kinds_of(components, ALWAYS)
-        self.seed = seed
         self.command_timeout = command_timeout
         self.nursery: Nursery = Nursery.hold()
         self._taken: dict[Seat, None] = {}
@@ -91,8 +88,6 @@ class Seat:
         self.name: str = component.name
         self.process: Process | None = None
         self._recipe = recipe_of(component)  # now: later it knows its robot
-        self.lost: int = 0
-        """How many of its processes have died."""
         self._seats = seats
         self._owner: Owner | None = None
         self._before: dict[str, Any] = {}
@@ -161,11 +156,11 @@ class Seat:
             serve=self._serve,
             died=self._died,
         )
+        stream = None if self._owner is None else self._owner.stream
         settled = {
             "path": list(sys.path),
             "name": self.name,
-            "stream": f"{self._seats.seed}/{self.name}"
-            + ("" if not self.lost else f"/{self.lost}"),
+            "stream": None if stream is None else stream.seed,
             "stall": self.placement.stall if turn_of(self.loop).virtual else None,
             "memory": self.placement.memory,
             "nice": self.placement.nice,
@@ -321,7 +316,6 @@ class Seat:
         )
 
     def _died(self, error: ProcessDiedError) -> None:
-        self.lost += 1
         if self._on_death is not None:
             self._on_death(error)
 

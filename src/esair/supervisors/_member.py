@@ -100,9 +100,7 @@ class Member:
         self.given_up: bool = False
         """Nobody wants it any more: it is removed, or its place is."""
         self.crew: BehaviorDeployment = crew
-        self.stream: Stream = Stream(f"{crew.resources.seed}/{name}")
-        """Its random numbers, made from the robot's seed and its name."""
-        self.mail.owner.stream = self.stream
+        self._lives = 0
         self._timer: asyncio.TimerHandle | None = None
         self.portal: Portal | None = None
         self.sight: Sight = Sight(crew.resources.actuators.protections, action, name)
@@ -206,6 +204,7 @@ class Member:
 
     def start(self) -> None:
         self.mail.become(BehaviorState.STARTING)
+        self._draw_anew()
         if self.mail.owner.over and (misfit := self.misfit()):
             self._runs(False, misfit)  # another device has come in the place of one
             return
@@ -247,11 +246,18 @@ class Member:
             self.mail.carriers = (self.task,)
         self.task.add_done_callback(self._ended)
 
+    def _draw_anew(self) -> None:
+        """Have random numbers for a new life, made from the robot's seed and its name."""
+        self._lives += 1
+        life = f"/{self._lives}" if self._lives > 1 else ""
+        seed = f"{self.crew.resources.seed}/{self.name}{life}"
+        self.mail.owner.stream = Stream(seed)
+
     def _take_owner(self) -> None:
         """Have an owner for a new run, who also owns what outlives the one before."""
         survivors = self.mail.owner.living()
-        self.mail.owner = Owner(self.crew.context)
-        self.mail.owner.stream = self.stream
+        stream, self.mail.owner = self.mail.owner.stream, Owner(self.crew.context)
+        self.mail.owner.stream = stream
         for task in survivors:  # they would not end with the run before
             self.mail.owner.adopt(task)
         self.mail.outlived = bool(survivors)

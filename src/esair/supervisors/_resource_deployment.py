@@ -494,7 +494,7 @@ class ResourceDeployment:
         if self._seats is None:
             from esair.placement import Seats
 
-            self._seats = Seats(self._everybody, self.seed, self._command_timeout)
+            self._seats = Seats(self._everybody, self._command_timeout)
         return self._seats
 
     def _everybody(self) -> Iterator[Any]:
