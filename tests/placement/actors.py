@@ -180,6 +180,15 @@ class Acts(esair.Behavior):
             await asyncio.sleep(0.1)
             await self.perform(go)
 
+    async def do_write_twice(self, apart: float) -> None:
+        async with asyncio.TaskGroup() as group:
+            for seconds in (0.5, 0.5 + apart):
+                group.create_task(self.do_write_after(seconds))
+
+    async def do_write_after(self, seconds: float) -> None:
+        await asyncio.sleep(seconds)
+        await self.wheels.write(seconds)
+
     async def do_draw(self) -> float:
         return esair.random.random()
 

@@ -451,6 +451,20 @@ async def test_each_life_draws_its_own_random_numbers(place: Place) -> None:
             await world.robot.behaviors.restart("acts")
 
 
+@pytest.mark.promise("PLC-7")
+async def test_no_timer_rings_early(place: Place) -> None:
+    """Not even if something else happens 50 us before it is due."""
+    told: list[float] = []
+    async with World(place(Acts(("write_twice", 5e-5)))) as world:
+        world.robot.journal.listen(
+            lambda event: (
+                told.append(event.time) if event.kind.value == "sent" else None
+            )
+        )
+        await world.said()
+        assert told[-1] - told[-2] == pytest.approx(5e-5, abs=1e-6)
+
+
 @pytest.mark.promise("SUP-3")
 async def test_a_removal_ends_rights_and_makes_safe(place: Place) -> None:
     """When it returns; the name is free for another."""

@@ -203,7 +203,7 @@ class Process(Exchange):
     def _begin(self, work: int) -> None:
         self._work, self._ticks = work, 0
         self._sent = now = self._time()
-        if self._wanted is not None and self._wanted - now < 1e-4:
+        if self._wanted is not None and self._wanted - now < 1e-6:
             now = max(now, self._wanted)  # a timer may ring a hair early
         self._hang.start_by(self._sent + (self._stall if self.pid else START))
         if self.error is not None:  # it has died meanwhile
