@@ -1,0 +1,58 @@
+"""Random robots do the same as tasks alone and with some of them in processes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from tests.placement.worlds import World, first_difference, lived
+
+from esair.placement._nursery import Nursery
+
+pytestmark = [pytest.mark.promise("PLC-7"), pytest.mark.xdist_group("placement")]
+
+EACH_TIME, LONG, SOAK = 3, 50, 1000
+AT_ONCE = 25
+"""How many worlds one test compares."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _nursery() -> Iterator[None]:
+    """Have one process that makes the children of all worlds."""
+    nursery = Nursery.hold()
+    yield
+    nursery.let_go()
+
+
+def differing(seeds: range) -> dict[int, str]:
+    """Let each world live twice; return where those differ that do."""
+    found = {}
+    for seed in seeds:
+        one, other = (lived(seed, placed=each) for each in (False, True))
+        assert len(one) > 10
+        if told := first_difference(one, other):
+            found[seed] = f"{told}; in processes: {World(seed, placed=True).places}"
+    return found
+
+
+def test_some_worlds_are_equal() -> None:
+    """Commands, outcomes and moments, whoever of them has a process."""
+    assert differing(range(EACH_TIME)) == {}
+
+
+@pytest.mark.parametrize(
+    "begin",
+    [
+        *(
+            pytest.param(begin, marks=pytest.mark.long)
+            for begin in range(EACH_TIME, EACH_TIME + LONG, AT_ONCE)
+        ),
+        *(
+            pytest.param(begin, marks=pytest.mark.soak)
+            for begin in range(1000, 1000 + SOAK, AT_ONCE)
+        ),
+    ],
+)
+def test_many_worlds_are_equal(begin: int) -> None:
+    """As above; a thousand in the soak."""
+    assert differing(range(begin, begin + AT_ONCE)) == {}
