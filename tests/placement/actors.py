@@ -313,6 +313,18 @@ class Values(esair.Sensor[float]):
         return "zeroed"
 
 
+class Deaf(esair.Sensor[float]):
+    """Pushes one value, and does not hear of its end."""
+
+    async def stream(self) -> AsyncIterator[float]:
+        yield 1.0
+        for _ in range(2):
+            try:
+                await asyncio.sleep(1e6)
+            except asyncio.CancelledError:
+                continue
+
+
 class Pushed(esair.Sensor[float]):
     """Pushes each value."""
 

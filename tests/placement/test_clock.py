@@ -6,6 +6,7 @@ import asyncio
 from typing import Any
 
 import pytest
+from tests.placement.actors import Deaf
 from tests.placement.parts import Avoid, Drive, ThreadDrive, Twist, Wanderer
 
 import esair
@@ -105,3 +106,16 @@ async def test_a_hang_is_seen_on_the_virtual_clock() -> None:
         await asyncio.sleep(0.1)
         assert robot.behaviors.query("drive").restarts == 1
         assert "misbehave" in str(robot.behaviors.query("drive").error)
+
+
+@pytest.mark.promise("PLC-3", "PLC-4")
+async def test_a_deaf_driver_ends_with_its_process() -> None:
+    """Nothing waits for its answer any more: it is removed, its call is over."""
+    eye = Deaf(name="eye")
+    eye.placement = "process"
+    eye.deadline = 0.5
+    async with esair.Robot(resources=[eye]) as robot:
+        await asyncio.sleep(1.0)
+        await robot.resources.remove("eye")
+        await asyncio.sleep(1.0)
+        assert not robot.resources.abandoned()

@@ -191,6 +191,7 @@ class Process(Exchange):
             if self._work:
                 self._signal(signal.SIGKILL)
             self._let_go()
+            self._end_calls(self.error)
 
     # Turns.
 
