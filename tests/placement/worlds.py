@@ -50,10 +50,14 @@ class World:
 
     def _design(self) -> None:
         dice = self.dice
-        self.wheels = [f"wheel_{n}" for n in range(dice.randint(1, 3))]
-        self.eyes = [f"eye_{n}" for n in range(dice.randint(1, 3))]
-        self.follows = [f"follows_{n}" for n in range(dice.randint(0, 2))]
-        self.roams = [f"roams_{n}" for n in range(dice.randint(1, 3))]
+        self.wheels = [f"wheel_{n}" for n in range(dice.randint(2, 3))]
+        self.eyes = [f"eye_{n}" for n in range(dice.randint(2, 3))]
+        # Who moves the same by the same reading does so in one moment.
+        self._pairs = [(eye, wheel) for eye in self.eyes for wheel in self.wheels]
+        dice.shuffle(self._pairs)
+        self.roams = [f"roams_{n}" for n in range(dice.randint(2, 3))]
+        most = min(2, len(self._pairs) - len(self.roams))
+        self.follows = [f"follows_{n}" for n in range(dice.randint(0, most))]
         for name in self.wheels:
             self._makers[name] = self._wheel(name)
         for name in self.eyes:
@@ -121,9 +125,8 @@ class World:
         return lambda: kind(name, ports, seed, friend)
 
     def _ports(self, **terms: Any) -> Ports:
-        dice = self.dice
-        eye, wheel = dice.choice(self.eyes), dice.choice(self.wheels)
-        return Ports(eye, wheel, dice.randrange(6), **terms)
+        eye, wheel = self._pairs.pop()
+        return Ports(eye, wheel, self.dice.randrange(6), **terms)
 
     def _guard(self) -> Callable[[], Any]:
         eye, wheel = self.dice.choice(self.eyes), self.dice.choice(self.wheels)
