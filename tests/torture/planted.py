@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import tempfile
 from typing import ClassVar
 
 import attrs
@@ -156,6 +158,42 @@ class Stubborn(esair.Behavior):
                 continue
 
 
+class Locks(esair.Behavior):
+    """Keeps others away with a folder: what is killed cannot take that back."""
+
+    placement = "process"
+    arm = esair.writes(Twist)
+
+    def __init__(self, folder: str) -> None:
+        super().__init__()
+        self.folder = folder
+        self.has_made_it = False
+
+    async def setup(self) -> None:
+        if self.folder:
+            os.mkdir(self.folder)
+            self.has_made_it = True
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.05):
+            await self.arm.write(Twist(0.2, 0.0))
+
+    async def teardown(self) -> None:
+        if self.has_made_it:
+            os.rmdir(self.folder)
+
+
+class Turns(esair.Reaction):
+    """Turns when something is near, in a process of its own."""
+
+    placement = "process"
+    sonar = esair.reads(float, max_age=0.5)
+    wheels = esair.writes(Twist, priority=5)
+
+    def react(self, sonar: float) -> Twist | None:
+        return Twist(0.0, 1.0) if sonar < 2.0 else None
+
+
 class Endless(esair.Behavior):
     """Never lets anybody else."""
 
@@ -189,3 +227,16 @@ endless = make(None, Endless())
 stubborn = make(None, Stubborn())
 forgetful = make(None, Forgetful())
 hoard = make(sonar=HoardingSonar(name="sonar"))
+
+
+def children(folder: str = "") -> esair.Robot:
+    """Return a rover that decides in processes of their own."""
+    return esair.Robot(
+        resources=[Sonar(), Wheels(), Wheels(name="arm")],
+        behaviors=[KeepClear(), Turns(), Locks(folder)],
+    )
+
+
+def locked() -> esair.Robot:
+    """Return one with the lock."""
+    return children(os.path.join(tempfile.mkdtemp(), "lock"))

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
+import os
 import random
+import select
+import signal
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +15,7 @@ import attrs
 
 import esair
 from esair.actions import Behavior, Guards, Reaction, Writes
+from esair.messages import is_placed
 from esair.resources import Resource, Sensor, settings_of
 from esair.torture._gate import ERRORS
 from esair.torture._values import WRONG, CannotMakeError, make
@@ -19,7 +24,6 @@ if TYPE_CHECKING:
     from esair.torture._story import Step
     from esair.torture._world import World
 
-ANSWER_WITHIN = 5.0  # How long a request of the user may take, in seconds
 FLOOD = 100  # How many requests or commands are a flood
 
 
@@ -78,9 +82,9 @@ Cast = Mapping[str, tuple[str, ...]]
 def cast_of(robot: esair.Robot) -> Cast:
     """Look who is in a robot."""
     plan = robot.plan
-    sensors = [each for each in plan.resources if isinstance(each, Sensor)]
-    devices = list(plan.resources)
-    actions = list(plan.behaviors)
+    devices, actions = list(plan.resources), list(plan.behaviors)
+    sensors = [each for each in devices if isinstance(each, Sensor)]
+    behaviors = [each for each in actions if isinstance(each, Behavior)]
     groups: dict[str, list[Any]] = {
         "devices": devices,
         "sensors": sensors,
@@ -90,11 +94,10 @@ def cast_of(robot: esair.Robot) -> Cast:
         "actions": actions,
         "reactions": [each for each in actions if isinstance(each, Reaction)],
         "protections": [each for each in actions if _protects(each)],
-        "behaviors": [each for each in actions if isinstance(each, Behavior)],
-        "movers": [each for each in actions if _writes(each)],
-        "takers": [
-            each for each in actions if isinstance(each, Behavior) and each.takes
-        ],
+        "behaviors": behaviors,
+        "movers": [each for each in behaviors if _writes(each)],
+        "takers": [each for each in behaviors if each.takes],
+        "placed": [each for each in actions if is_placed(each)],
         "components": [*devices, *actions],
     }
     names = {
@@ -104,11 +107,9 @@ def cast_of(robot: esair.Robot) -> Cast:
     return names | {"robot": ("",), "modes": tuple(plan.modes.table)}
 
 
-def _changeable(resource: Resource) -> bool:
-    return any(
-        setting.min is not None or setting.max is not None
-        for setting in settings_of(type(resource)).values()
-    )
+def _changeable(resource: Resource) -> list[tuple[str, Any]]:
+    settings = settings_of(type(resource)).items()
+    return [each for each in settings if (each[1].min, each[1].max) != (None, None)]
 
 
 def _protects(action: Any) -> bool:
@@ -117,9 +118,9 @@ def _protects(action: Any) -> bool:
     )
 
 
-def _writes(action: Any) -> bool:
-    in_loop = isinstance(action, Behavior) and inspect.iscoroutinefunction(action.run)
-    return in_loop and any(isinstance(need, Writes) for need in action.needs.values())
+def _writes(behavior: Behavior) -> bool:
+    needs = behavior.needs.values() if inspect.iscoroutinefunction(behavior.run) else ()
+    return any(isinstance(need, Writes) for need in needs)
 
 
 # Devices.
@@ -263,6 +264,20 @@ async def _write_all(port: Any, command: Any) -> None:
         await port.write(command)
 
 
+@_kind("behavior", "placed", hows=("SIGKILL", "SIGSEGV", "SIGABRT"))
+def killed(world: World, step: Step) -> None:
+    """The process that it has dies, in this moment of the virtual clock."""
+    pid = world.robot.behaviors.query(_action(world, step)).pid
+    if pid is None:
+        raise NotNowError
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, signal.Signals[step.how])
+        while True:
+            os.kill(pid, 0)
+            select.select((), (), (), 0.001)
+    select.select((), (), (), 0.005)  # the robot is told after that
+
+
 # The user.
 
 
@@ -287,21 +302,16 @@ def _action(world: World, step: Step) -> str:
     return step.target
 
 
-def _left(world: World) -> None:
-    """Take note which devices do not belong to the robot any more."""
-    names = world.robot.resources.names()
-    here = [world.robot.resources.get(name) for name in names]
-    for gate in world.gates:
-        taken = gate.left is None and gate.was_here
-        if taken and all(each is not gate.resource for each in here):
-            gate.left = world.now
-
-
 async def _then_look(world: World, work: Any) -> None:
+    """Take note which devices do not belong to the robot any more, afterwards."""
     try:
         await work
     finally:
-        _left(world)
+        resources = world.robot.resources
+        here = {id(resources.get(name)) for name in resources.names()}
+        for gate in world.gates:
+            if gate.left is None and gate.was_here and id(gate.resource) not in here:
+                gate.left = world.now
 
 
 @_kind("user", "components", lasts=SHORT, weight=2.0)
@@ -332,8 +342,7 @@ def replace(world: World, step: Step) -> None:
 def restart(world: World, step: Step) -> None:
     """It is restarted."""
     name = step.target
-    work = _supervisor(world, name).restart(name)
-    world.order(f"restart {name}", name, work)
+    world.order(f"restart {name}", name, _supervisor(world, name).restart(name))
 
 
 @_kind("user", "modes", weight=2.0)
@@ -399,12 +408,7 @@ def configure(world: World, step: Step) -> None:
     _up(world)
     resource = world.gate(step.target).resource
     dice = random.Random(f"{world.story.seed}/{step.at}")
-    settings = [
-        (name, setting)
-        for name, setting in settings_of(type(resource)).items()
-        if setting.min is not None or setting.max is not None
-    ]
-    name, setting = dice.choice(settings)
+    name, setting = dice.choice(_changeable(resource))
     now = getattr(resource, name)
     least = now / 2 if setting.min is None else max(setting.min, now / 2)
     most = now * 2 + 1 if setting.max is None else min(setting.max, now * 2 + 1)

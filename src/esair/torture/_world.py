@@ -13,6 +13,7 @@ import attrs
 import esair
 from esair.actions import Behavior, Reaction
 from esair.exceptions import describe
+from esair.messages import is_placed
 from esair.resources import Resource
 from esair.testing import DeadlockError, Leaks, LivelockError, VirtualLoop
 from esair.torture._gate import Gate, Lever
@@ -250,11 +251,13 @@ class World:
     def _reach(self, component: Any) -> None:
         """Put a gate before a device, a lever on an action."""
         if isinstance(component, Resource):
+            # Who answers for its device is here, and its driver may be nowhere.
+            component.placement = None
             alone = self.target.alone is None or component.name in self.target.alone
             seed = self.story.seed
             gate = Gate(component, self.loop, seed, self.judge, alone=alone)
             self.gates.append(gate)
-        else:
+        elif not is_placed(component):
             self.levers[id(component)] = Lever(component, self.loop)
 
     async def _live(self) -> None:

@@ -1,0 +1,85 @@
+"""Torture kills and stops the processes of components that have one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+
+import pytest
+from tests.placement.test_attacks import children_of
+from tests.torture.planted import children, locked
+
+import esair
+from esair.placement import PlacedRunner
+from esair.torture import Step, Story, Target, World, tell, torture
+from esair.torture._kinds import KINDS, cast_of
+
+pytestmark = [pytest.mark.promise("PLC-3", "PLC-4"), pytest.mark.xdist_group("torture")]
+
+
+def target(make: Callable[[], esair.Robot]) -> Target:
+    return Target(make.__name__, make)
+
+
+def told(make: Callable[[], esair.Robot], *steps: Step, lasts: float = 4.0) -> World:
+    """Tell a story, and see that no process is left."""
+    world = World(target(make), Story(1, steps, lasts))
+    world.run()
+    assert children_of(os.getpid()) == []
+    return world
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        pytest.param(how, marks=[pytest.mark.long] * (how != "SIGKILL"))
+        for how in KINDS["killed"].hows
+    ],
+)
+@pytest.mark.parametrize("name", ["turns", "locks"])
+def test_a_death_is_safe_and_the_next_life_decides(name: str, how: str) -> None:
+    """No rule is broken, whichever of them dies."""
+    world = told(children, Step(1.0, "killed", name, how=how))
+    assert world.judge.found == []
+    assert world.done["killed"] == 1
+    moved = {"turns": "wheels", "locks": "arm"}[name]
+    (gate,) = (each for each in world.gates if each.name == moved)
+    after = [each for each in gate.told if each.begun >= 1.0]
+    assert after[0].safe
+    assert after[0].begun == pytest.approx(1.0, abs=0.051)
+    assert any(not each.safe for each in after[1:])
+
+
+def test_who_has_a_process_is_in_the_cast() -> None:
+    """Devices are simulated here, whatever they say."""
+    cast = cast_of(children())
+    assert cast["placed"] == ("locks", "turns")
+
+
+@pytest.mark.long
+def test_what_a_death_leaves_is_found() -> None:
+    """A lock that only its owner takes away: it never works again."""
+    killed = Step(3.0, "killed", "locks", how="SIGKILL")
+    outcome = tell(target(locked), Story(1, (killed,), 18.5))
+    assert outcome.keys == {("works", "locks")}
+
+
+@pytest.mark.long
+def test_the_search_finds_it() -> None:
+    """It kills who has a process, among all else that it does."""
+    report = torture(target(locked), seed=1, faults=3000, findings=1)
+    (finding,) = report.findings
+    assert finding.violation.key == ("works", "locks")
+    assert {each.kind for each in finding.story.steps} == {"killed"}
+    assert children_of(os.getpid()) == []
+
+
+@pytest.mark.long
+def test_a_death_that_nobody_takes_for_a_crash_is_seen(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its last command stands, and it never decides again."""
+    monkeypatch.setattr(PlacedRunner, "crash", lambda *_: None)
+    killed = Step(3.0, "killed", "turns", how="SIGKILL")
+    outcome = tell(target(children), Story(1, (killed,), 18.5))
+    assert ("works", "turns") in outcome.keys
