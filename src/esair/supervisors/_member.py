@@ -204,7 +204,10 @@ class Member:
 
     def start(self) -> None:
         self.mail.become(BehaviorState.STARTING)
-        self._draw_anew()
+        self._lives += 1
+        life = f"/{self._lives}" if self._lives > 1 else ""
+        seed = f"{self.crew.resources.seed}/{self.name}{life}"
+        self.mail.owner.stream = Stream(seed)  # random numbers of its own for each life
         if self.mail.owner.over and (misfit := self.misfit()):
             self._runs(False, misfit)  # another device has come in the place of one
             return
@@ -245,13 +248,6 @@ class Member:
         if self.portal is not None:
             self.mail.carriers = (self.task,)
         self.task.add_done_callback(self._ended)
-
-    def _draw_anew(self) -> None:
-        """Have random numbers for a new life, made from the robot's seed and its name."""
-        self._lives += 1
-        life = f"/{self._lives}" if self._lives > 1 else ""
-        seed = f"{self.crew.resources.seed}/{self.name}{life}"
-        self.mail.owner.stream = Stream(seed)
 
     def _take_owner(self) -> None:
         """Have an owner for a new run, who also owns what outlives the one before."""

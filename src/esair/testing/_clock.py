@@ -203,7 +203,8 @@ class VirtualLoop(TurnLoop):
             self._count()
         if self._stopping:  # type: ignore[attr-defined]
             self._put_back(ready)
-        return self._others(self._select(0.0))
+        events = self._select(0.0)
+        return self._others(events) if events else events
 
     def _count(self) -> None:
         self._passes += 1

@@ -396,7 +396,7 @@ class _Session:
         if is_placed(device):
             from esair.placement import Seats
 
-            self.seats = Seats(lambda: [device], 0, lambda _: None)
+            self.seats = Seats(lambda: [device], lambda _: None)
 
     async def __aenter__(self) -> _Session:
         if self.seats is not None:
