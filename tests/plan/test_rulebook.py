@@ -317,15 +317,67 @@ def test_a_sensor_that_may_be_silent_is_a_warning() -> None:
     )
 
 
-@pytest.mark.promise("PRO-4")
-@pytest.mark.parametrize("says", ["initial", "period"])
+@pytest.mark.promise("PRO-4", "SC-3")
+@pytest.mark.parametrize("says", ["initial", "period", "max_age"])
 def test_a_sensor_that_says_how_it_begins_is_fine(says: str) -> None:
-    """Its value at each opening, or how soon it speaks."""
-    bumper = parts.Bumper()
-    setattr(bumper, says, 0.5 if says == "period" else False)
-    plan = Plan(resources=[bumper, parts.Wheels()], behaviors=[parts.Bumped()])
+    """Its value at each opening, and for how long that is current; or how soon it speaks."""
 
-    assert examine(plan) == []
+    class Cautious(parts.Bumped):
+        bumper = esair.reads(bool, max_age=0.5)
+
+    bumper = parts.Bumper()
+    if says != "max_age":
+        setattr(bumper, says, 0.5 if says == "period" else False)
+    bumped = parts.Bumped() if says == "period" else Cautious()
+    plan = Plan(resources=[bumper, parts.Wheels()], behaviors=[bumped])
+
+    found = [finding.text for finding in examine(plan)]
+    assert all("first speaks" in text for text in found)
+    assert len(found) == (says == "max_age")
+
+
+@pytest.mark.promise("SC-3")
+@pytest.mark.parametrize("reader", ["optional", "initial", "behavior", "computed"])
+def test_a_sensor_whose_reading_lasts_for_ever_is_a_warning(reader: str) -> None:
+    """Whoever reads it takes what it said last for what is."""
+
+    class Optional(esair.Reaction):
+        bumper = esair.reads(bool, optional=True)
+        wheels = esair.writes(float)
+
+        def react(self, bumper: bool | None) -> float | None:
+            return None
+
+    class Waiting(esair.Behavior):
+        bumper = esair.reads(bool)
+        wheels = esair.writes(float)
+
+    class Free(esair.Derived[bool]):
+        bumper = esair.reads(bool)
+
+        def compute(self, bumper: bool) -> bool:
+            return not bumper
+
+    class Follows(esair.Behavior):
+        free = esair.reads(bool, max_age=1.0)
+        wheels = esair.writes(float)
+
+    bumper = parts.Bumper()
+    resources: list[Any] = [bumper, parts.Wheels()]
+    action: Any = {"optional": Optional, "behavior": Waiting, "computed": Follows}.get(
+        reader, parts.Bumped
+    )()
+    if reader == "initial":
+        bumper.initial = False
+    if reader == "computed":
+        resources.append(Free())
+    who = "free" if reader == "computed" else action.name
+    findings = examine(Plan(resources=resources, behaviors=[action]))
+    told = [f.text for f in findings if f.component == "bumper"]
+    assert told == [
+        f"however long it is silent, its last reading is current for {who}: give it a "
+        "period (its greatest silence), or each of them a max_age"
+    ]
 
 
 async def test_two_nodes_of_one_name_on_a_bus_are_told_once() -> None:

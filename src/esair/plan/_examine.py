@@ -21,7 +21,14 @@ from esair.plan._declarations import (
     mistyped,
     unplaceable,
 )
-from esair.plan._needs import denied, mistakes_in_policies, underivable, unmet, untimely
+from esair.plan._needs import (
+    denied,
+    lasting,
+    mistakes_in_policies,
+    underivable,
+    unmet,
+    untimely,
+)
 from esair.plan._plan import Finding, Plan, because, mistake, name_of, warning
 from esair.plan._protection import unprotected
 from esair.resources import Actuator, Resource, Sensor
@@ -327,6 +334,7 @@ def examine(plan: Plan) -> list[Finding]:
         *mistakes_in_modes(plan),
         *starving(plan),
         *never_failed(plan),
+        *lasting(plan),
         *unprotected(plan),
         *unused(plan),
         *odd_buses(plan),

@@ -94,16 +94,47 @@ def _silent(
     action: Reaction, attribute: str, need: Reads[Any], sensor: Sensor[Any]
 ) -> Iterator[Finding]:
     """A device that pushes when something happens may have nothing to say at first."""
-    if not sensor.pushes or sensor.can_be_asked or need.optional:
+    if not _may_be_silent(sensor) or not _waits_for(need, sensor):
         return
-    if hasattr(sensor, "initial") or sensor.period is not None:
-        return  # it says its value at once, or how soon it speaks
     told = f"it is blind until {need.resource!r} first speaks"
     advice = (
         f"give {type(sensor).__name__} a read, an initial value, or a period (its "
         "greatest silence)"
     )
     yield warning("silent", action, attribute, told, advice)
+
+
+def _may_be_silent(sensor: Sensor[Any]) -> bool:
+    return sensor.pushes and sensor.period is None
+
+
+def _waits_for(need: Reads[Any], sensor: Sensor[Any]) -> bool:
+    """Tell whether it may be blind at first: nothing says the value at an opening."""
+    return not (need.optional or sensor.can_be_asked or hasattr(sensor, "initial"))
+
+
+def lasting(plan: Plan) -> Iterator[Finding]:
+    """Find devices that push, and whose last reading is current for ever."""
+    needs: list[tuple[str, Any, Need]]
+    needs = [(name, action, need) for name, action, _, need in plan.needs()]
+    for derived in plan.derived_of.values():
+        needs += [(derived.name, derived, need) for need in derived.inputs.values()]
+    for name, sensor in plan.resource_of.items():
+        if not isinstance(sensor, Sensor) or not _may_be_silent(sensor):
+            continue
+        readers = {
+            reader: None
+            for reader, action, need in needs
+            if need.provider == name and isinstance(need, Reads)
+            if need.max_age is None
+            if not (isinstance(action, Reaction) and _waits_for(need, sensor))
+        }
+        if readers:
+            told = "however long it is silent, its last reading is current for "
+            advice = (
+                "give it a period (its greatest silence), or each of them a max_age"
+            )
+            yield warning("silent", sensor, "period", told + ", ".join(readers), advice)
 
 
 def denial(
