@@ -190,3 +190,36 @@ def test_time_never_grows(tmp_path) -> None:
     assert faults == [0] * 12 + [1, 2, 3, 4, 5, 6, 7, 8]
     assert told[: len(expected) - 2] == expected[:-2]
     assert ("count", [3]) in told[-8:]
+
+
+GAP = """
+from esair.minimal import Reaction, reads, writes
+
+class Seen(Reaction):
+    eye = reads(float)
+    out = writes(float)
+    def react(self, eye):
+        return eye if self.elapsed_ms > 1000 * 3600 * 24 * 6 else -eye
+"""
+
+
+@pytest.mark.parametrize("days", [1, 7, 13, 100])
+def test_who_sees_again_after_days_steps_at_once(tmp_path, days) -> None:
+    """However long it was blind: it is told of a long time, and that is no fault."""
+    module = robots.imported(GAP, tmp_path / "gap.py")
+    eye, out = robots.Given("eye", 1.0), robots.Told("out", 0.0)
+    robot = robots.Robot([module.Seen("seen")], [eye], [out], rate=1)
+    program = robots.in_c(robot, tmp_path)
+    seen: Any = ([0.5], [True])
+    journal = [seen, seen, f"k {days * 86400}", seen, seen]
+
+    told, expected = (
+        robots.run_c(robot, program, journal),
+        robots.run_min(robot, journal),
+    )
+    assert told == expected
+    commands = [each[1] for each in told if each[0] == "out"]
+    late = 0.5 if days > 6 else -0.5
+    moved = [each for each in commands if each != robots.flat(0.0, 0.0)]
+    assert moved == [robots.flat(each, 0.0) for each in (-0.5, -0.5, late, -0.5)]
+    assert [each[1] for each in told if len(each) == 3] == [0] * 4  # no fault
