@@ -234,6 +234,68 @@ class Acts(esair.Behavior):
         raise SystemExit(text)
 
 
+class Gets(esair.Behavior):
+    """Gets something of another, while one more task of it does something else."""
+
+    def __init__(self, name: str, other: str, beside: str = "") -> None:
+        super().__init__(name=name)
+        self.other, self.beside = other, beside
+
+    async def setup(self) -> None:
+        self.free = asyncio.Event()
+
+    async def run(self) -> None:
+        other = getattr(self, self.beside)() if self.beside else None
+        task = None if other is None else asyncio.create_task(other)
+        try:
+            told = await self.get(self.other, 3.0)
+        except esair.EsairError as error:
+            told = type(error).__name__, str(error)
+        await self.put("told", (self.name, told, esair.now()))
+        if task is not None:
+            task.cancel()
+        await self.wait_for_ever()
+
+    async def sleeps(self) -> None:
+        await asyncio.sleep(1.0)
+        self.offer("after a while")
+
+    async def hears(self) -> None:
+        await self.receive()
+        self.offer("as it was told")
+
+    async def wait_for_ever(self) -> None:
+        await self.free.wait()
+
+
+class PlainGets(esair.ThreadBehavior):
+    """The same in a thread."""
+
+    def __init__(self, name: str, other: str, beside: str = "") -> None:
+        super().__init__(name=name)
+        self.other = other
+
+    def run(self) -> None:
+        try:
+            told: Any = self.get(self.other, 3.0)
+        except esair.EsairError as error:
+            told = type(error).__name__, str(error)
+        self.put("told", (self.name, told, esair.now()))
+        self.receive()
+
+
+class Told(esair.Behavior):
+    """Keeps what it is told."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.all: list[Any] = []
+
+    async def run(self) -> None:
+        while True:
+            self.all.append(await self.receive())
+
+
 class Gives(esair.Behavior):
     """Makes what it is asked for."""
 

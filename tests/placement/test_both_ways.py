@@ -12,9 +12,12 @@ from tests.placement.actors import (
     Acts,
     Crashes,
     Follow,
+    Gets,
     Gives,
+    PlainGets,
     Pushed,
     SmallFollow,
+    Told,
     Values,
     Waits,
     Worker,
@@ -529,3 +532,53 @@ async def test_a_sensor_is_read_set_and_operated(place: Place, kind: Any) -> Non
             await robot.resources.configure(registered, gain=3.0)
             assert robot.resources.get("eye").gain == 3.0
             assert await robot.resources.operate(registered, "zero") == "zeroed"
+
+
+# Circles of requests.
+
+
+@pytest.mark.promise("BS-5")
+@pytest.mark.parametrize("kind", [Gets, PlainGets])
+@pytest.mark.parametrize("both", [True, False])
+async def test_a_circle_of_get_is_refused_at_once(
+    place: Place, kind: Any, both: bool
+) -> None:
+    """Nobody of either can go on: the path is in the error, and no time has passed."""
+    told, b = Told(), kind("b", "a")
+    others = (place(b) if both else b, told)
+    async with World(place(kind("a", "b")), *others) as world:
+        await world.until(lambda: told.all)
+        name, error, when = told.all[0]
+        path = "b -> a -> b" if name == "b" else "a -> b -> a"
+        assert error == ("CircularRequestError", f"a circle of requests: {path}")
+        assert when < 0.01
+
+
+@pytest.mark.promise("BS-5")
+@pytest.mark.parametrize(
+    ("beside", "comes"),
+    [("sleeps", "after a while"), ("hears", "as it was told")],
+)
+async def test_who_has_another_task_closes_no_circle(
+    place: Place, beside: str, comes: str
+) -> None:
+    """It can still offer what is waited for, and does."""
+    told = Told()
+    async with World(place(Gets("a", "b", beside)), place(Gets("b", "a")), told) as w:
+        await asyncio.sleep(0.5)
+        assert told.all == []
+        if beside == "hears":
+            await w.robot.behaviors.put("go on", sender="user", receiver="a")
+        await w.until(lambda: told.all)
+        assert told.all[0][:2] == ("b", comes)
+
+
+@pytest.mark.promise("BS-5")
+async def test_tasks_that_wait_for_each_other_close_no_circle(place: Place) -> None:
+    """Who of a behavior waits for what nobody else sees may know better: it is given time."""
+    told = Told()
+    acts = place(Gets("a", "b", "wait_for_ever")), place(Gets("b", "a"))
+    async with World(*acts, told) as world:
+        await world.until(lambda: len(told.all) == 2)
+        assert {error[0] for _, error, _ in told.all} == {"BehaviorUnavailableError"}
+        assert all(when >= 3.0 for _, _, when in told.all)

@@ -44,6 +44,7 @@ from esair.plan import SCRIPT, recipe_of
 from esair.resources import Sensor, adapt_resource
 
 _MIB: Final = 1 << 20
+_OF_OTHERS: Final = frozenset({"get", "ask"})  # the calls that may be in a circle
 
 
 class KindsOfChild(Kinds):
@@ -117,6 +118,7 @@ class Child(Exchange):
         """What ends the work on a request, by its number."""
         self._heard = time.monotonic()
         self._has_turn = False
+        self._asks = False  # whether something of it may wait for another behavior
         self._asked_at = 0  # the pass of the loop in which it has waited last
         self._stall: float | None = None
         self._streams: dict[int, Any] = {}
@@ -149,7 +151,19 @@ class Child(Exchange):
             faulthandler.cancel_dump_traceback_later()
         if self._has_turn:
             self._has_turn = False
-            self._send(Op.IDLE, wake)
+            self._send(Op.STILL if self._asks and self._is_still() else Op.IDLE, wake)
+
+    def _is_still(self) -> bool:
+        """Tell whether all of it wait for the robot, and one for another behavior."""
+        assert self.owner is not None
+        living = self.owner.living()
+        ends: list[Any] = [getattr(task, "_fut_waiter", None) for task in living]
+        waits = [each for each in ends if isinstance(each, Outcome)]
+        self._asks = any(each.asks for each in waits)
+        # A task that carries threads does nothing but wait for them.
+        threads = len(self.owner.threads)
+        carries = 1 if threads and len(waits) >= threads else 0
+        return self._asks and len(living) - len(waits) <= carries
 
     def tick(self) -> None:
         self._wire.send(Op.TICK, NEVER)
@@ -163,7 +177,7 @@ class Child(Exchange):
 
     def _send(self, kind: bytes, wake: float = NEVER) -> None:
         items = self.message()
-        if self.queue and kind == Op.IDLE:
+        if self.queue and kind in {Op.IDLE, Op.STILL}:
             kind = Op.TURN  # there is more to tell
         try:
             self._wire.send(kind, wake, items)
@@ -197,6 +211,8 @@ class Child(Exchange):
         """Call the robot; awaiting waits for the end."""
         outcome = Outcome(self, loop=self.loop)
         outcome.number = self._call(settle(outcome), verb, args, options)
+        if verb in _OF_OTHERS:
+            self._asks = outcome.asks = True
         return outcome
 
     def told_of(self, number: int, hear: Callable[[Any], object]) -> None:
@@ -386,6 +402,8 @@ class Outcome(asyncio.Future[Any]):
         super().__init__(loop=loop)
         self._child = child
         self.number = 0
+        self.asks = False
+        """Whether another behavior has to answer."""
 
     def cancel(self, msg: Any | None = None) -> bool:
         if self._child.calls.pop(self.number, None) is not None:

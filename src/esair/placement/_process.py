@@ -55,6 +55,8 @@ LINES: Final = 200
 NAMES: Final = 64
 """How many loggers a child may name that nobody else has: they are kept for ever."""
 
+_ENDS: Final = frozenset({Op.IDLE, Op.STILL, Op.TURN, Op.SYNC})  # what ends its work
+
 _log = logging.getLogger("esair")
 
 
@@ -88,6 +90,8 @@ class Process(Exchange):
         """Why it is gone; None while it lives."""
         self.scopes: dict[int, contextvars.Context] = {}
         """For whom the child works, by the number of the call that it works for."""
+        self.is_still = False
+        """Whether nothing in it goes on before one of its calls ends."""
         self._sent = 0.0  # when the message was sent that it works on
         self._serve, self._died = serve, died
         self._loop = loop = asyncio.get_running_loop()
@@ -203,6 +207,7 @@ class Process(Exchange):
 
     def _begin(self, work: int) -> None:
         self._work, self._ticks = work, 0
+        self.is_still = False
         self._sent = now = self._time()
         if self._wanted is not None and self._wanted - now < 1e-6:
             now = max(now, self._wanted)  # a timer may ring a hair early
@@ -243,7 +248,7 @@ class Process(Exchange):
             if self._ticks <= 2:
                 self._door.post(0, self._tag, self._ticked)
                 return
-        elif kind in {Op.IDLE, Op.TURN, Op.SYNC} and self._work and wake > -NEVER:
+        elif kind in _ENDS and self._work and wake > -NEVER:
             args = self._work, kind, wake, items
             self._work = 0
             if sum(len(each.data) for each in items) <= LARGE:
@@ -277,6 +282,7 @@ class Process(Exchange):
             return
         if kind != Op.SYNC:  # else its loop does not go on: it may ask for ever
             self._hang.cancel()
+        self.is_still = kind == Op.STILL
         for each in items:
             try:
                 self._apply(*each)
@@ -285,7 +291,7 @@ class Process(Exchange):
             if self.error is not None:
                 return
         self._idle = True
-        if self.queue or kind != Op.IDLE:
+        if self.queue or kind in {Op.TURN, Op.SYNC}:
             self._send()
         elif wake < NEVER:
             self._wanted = wake

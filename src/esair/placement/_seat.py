@@ -211,6 +211,13 @@ class Seat:
             raise ProcessDiedError(self.name, "is not there")
         return self.process
 
+    def works(self) -> Iterable[asyncio.Task[Any]] | None:
+        """Return what its process waits for; None if that may go on by itself."""
+        process = self.process
+        return (
+            process.tasks.values() if process is not None and process.is_still else None
+        )
+
     # Its methods.
 
     def _method(self, name: str) -> Callable[..., Any]:

@@ -59,12 +59,13 @@ class Op:
     """What an item says of a call, and with what kind of message it goes.
 
     A child is idle until a moment, or for ever (`NEVER`); else it goes on at once: its turn
-    goes on, or, of a sync, its loop does not. A tick asks what time it is.
+    goes on, or, of a sync, its loop does not. A tick asks what time it is. A still one is
+    idle, and each of its tasks waits for the end of a call.
     """
 
     CALL, CANCEL, DONE, FAIL = b"c", b"x", b"d", b"f"
     NEWS, WITHDRAWN = b"n", b"w"  # of a call before its end; of a request
-    GO, IDLE, TURN, SYNC, TICK = b"g", b"i", b"t", b"s", b"k"
+    GO, IDLE, STILL, TURN, SYNC, TICK = b"g", b"i", b"q", b"t", b"s", b"k"
 
 
 _FILE: Final = b"\0"

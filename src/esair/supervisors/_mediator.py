@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import sys
 from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 
@@ -44,6 +44,9 @@ from esair.supervisors._requests import (
 )
 from esair.values import is_positive
 
+if TYPE_CHECKING:
+    from esair.placement import Seat
+
 _NO_QUEUES: Mapping[Any, OrderQueue] = {}
 
 _LEAVING = frozenset({BehaviorState.STOPPING, BehaviorState.REMOVED})
@@ -67,6 +70,8 @@ class Mailbox:
     """Tasks of a run that has ended may be there; they must not speak for it."""
     carriers: tuple[asyncio.Task[Any], ...] = ()
     """The tasks that only wait for its threads."""
+    seat: Seat | None = None
+    """Where it lives, if it has a process of its own."""
     error: BaseException | None = None
     inbox: list[tuple[str, Any]] = attrs.field(factory=list)  # who put what
     latest: Any = NOTHING  # what everybody may get again and again
@@ -381,6 +386,8 @@ def _is_stuck(
 
 def _all_wait(member: Mailbox, waits: list[asyncio.Task[Any] | None]) -> bool:
     """Tell whether nobody of a behavior is left who does not wait."""
+    if member.seat is not None and (works := member.seat.works()) is not None:
+        return set(works).issubset(waits)
     living = set(member.owner.living())
     if any(task not in living for task in waits):
         return True  # somebody else acts in its name: what is known are the requests

@@ -109,6 +109,7 @@ class Member:
             crew.resources.seat_for(action) if is_placed(action) else None
         )
         """Its place if its code runs in a process of its own."""
+        self.mail.seat = self.seat
         self.used: Collection[str] = ()
         """Which resources its last run has used; what it moved may not be safe yet."""
 
