@@ -108,8 +108,11 @@ class PlainWaves(Counts):
 class Pushes(Counts):
     """Pushes each value."""
 
-    pause = 0.0517
     max_age = 0.5
+
+    def __init__(self, fails: tuple[int, int], pause: float, **settings: Any) -> None:
+        super().__init__(fails, **settings)
+        self.pause = pause
 
     async def stream(self) -> AsyncIterator[float]:
         while True:

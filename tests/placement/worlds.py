@@ -102,7 +102,8 @@ class World:
         kind: Any = dice.choice([Waves, PlainWaves, Pushes])
         begin = dice.randint(5, 40)
         fails = (begin, begin + 3) if dice.random() < 0.3 else (0, 0)
-        terms = {} if kind is Pushes else {"rate": dice.uniform(11.0, 31.0)}
+        pace = dice.uniform(11.0, 31.0)  # its own: two devices never fall on one moment
+        terms = {"pause": 1.0 / pace} if kind is Pushes else {"rate": pace}
         return lambda: kind(fails, name=name, **terms)
 
     def _reaction(self, name: str) -> Callable[[], Any]:
@@ -158,7 +159,12 @@ class World:
                 act = dice.choice(self._acts(bool(modes)))
                 group.create_task(self._done(act, robot))
             self._look(robot)
-        return sorted(self.effects, key=lambda each: (round(each[0], 4), each[1]))
+        return sorted(self.effects, key=self._order)
+
+    def _order(self, effect: Effect) -> tuple[float, str, str]:
+        """Sort by time and place; two tasks of one behavior tell what they do in any order."""
+        when, where, what = effect
+        return round(when, 4), where, repr(what) if where in self.roams else ""
 
     def _look(self, robot: esair.Robot) -> None:
         """Note how each component is at the end."""
