@@ -37,7 +37,8 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "long: too long for every run (--esair-long)")
     config.addinivalue_line("markers", "longer: does more with --esair-long")
     config.addinivalue_line("markers", "soak: too long for that too (--esair-soak)")
-    patience.measures = config.getoption("--esair-long")
+    options = "--esair-long", "--esair-soak"
+    patience.measures = any(map(config.getoption, options))
     has_compiled = not sys.dont_write_bytecode
     sys.dont_write_bytecode = False  # of this process; its children read their own
     import hypothesis  # pytest rewrites it: not in each worker

@@ -10,8 +10,9 @@ Lived = tuple[int, list[str], str, float]
 TRIES = 3
 
 measures = False
-"""Whether this run looks how long something takes: with --esair-long. Every other run may
-be on a computer that does something else, and looks what happens, in which order."""
+"""Whether this run looks how long something takes: with --esair-long, or --esair-soak. Every
+other run may be on a computer that does something else, and looks what happens, in which
+order."""
 
 
 def within(limit: float, seconds: float) -> bool:
