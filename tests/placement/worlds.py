@@ -150,7 +150,8 @@ class World:
             behaviors=[self.make(name) for name in actions],
             seed=self.seed,
             grace=0.5,
-            **({"modes": modes, "mode": "one"} if modes else {}),
+            modes=modes or None,
+            mode="one" if modes else None,
         )
         async with asyncio.TaskGroup() as group, robot:
             end = esair.now() + LASTS
