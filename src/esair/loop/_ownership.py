@@ -374,7 +374,7 @@ class Stream:
     __slots__ = ("_made", "seed")
 
     def __init__(self, seed: str | None) -> None:
-        self.seed = seed
+        self.seed: str | None = seed
         self._made: random.Random | None = None
 
     def __call__(self) -> random.Random:

@@ -266,7 +266,7 @@ class TurnLoop(asyncio.SelectorEventLoop):
         super().__init__(selector)
         bell = self._ssock.fileno()  # type: ignore[attr-defined]
         self._listens = {bell: self._read_from_self}  # type: ignore[attr-defined]
-        self._rises = False  # it is on its way to the border: nobody has to ring
+        self._rises: bool = False  # it is on its way to the border: nobody has to ring
         self._turn = OwnTurn(self)
         self._alarm = None if self.virtual else Alarm.on(self)
         self._select: Select = selector.select

@@ -402,7 +402,7 @@ class Outcome(asyncio.Future[Any]):
         super().__init__(loop=loop)
         self._child = child
         self.number = 0
-        self.asks = False
+        self.asks: bool = False
         """Whether another behavior has to answer."""
 
     def cancel(self, msg: Any | None = None) -> bool:

@@ -90,7 +90,7 @@ class Process(Exchange):
         """Why it is gone; None while it lives."""
         self.scopes: dict[int, contextvars.Context] = {}
         """For whom the child works, by the number of the call that it works for."""
-        self.is_still = False
+        self.is_still: bool = False
         """Whether nothing in it goes on before one of its calls ends."""
         self._sent = 0.0  # when the message was sent that it works on
         self._serve, self._died = serve, died
