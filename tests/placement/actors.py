@@ -237,6 +237,8 @@ class Acts(esair.Behavior):
 class Gets(esair.Behavior):
     """Gets something of another, while one more task of it does something else."""
 
+    sonar = esair.reads(float)
+
     def __init__(self, name: str, other: str, beside: str = "") -> None:
         super().__init__(name=name)
         self.other, self.beside = other, beside
@@ -245,8 +247,12 @@ class Gets(esair.Behavior):
         self.free = asyncio.Event()
 
     async def run(self) -> None:
+        if self.beside:
+            await self.sonar.read()  # then the next one comes at once
+            await asyncio.sleep(0.1)  # who is asked waits for this one by then
         other = getattr(self, self.beside)() if self.beside else None
         task = None if other is None else asyncio.create_task(other)
+        await asyncio.sleep(0)  # the other one begins
         try:
             told = await self.get(self.other, 3.0)
         except esair.EsairError as error:
@@ -263,6 +269,10 @@ class Gets(esair.Behavior):
     async def hears(self) -> None:
         await self.receive()
         self.offer("as it was told")
+
+    async def looks(self) -> None:
+        await self.sonar.read()
+        self.offer("as it was seen")
 
     async def wait_for_ever(self) -> None:
         await self.free.wait()

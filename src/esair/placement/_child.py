@@ -118,7 +118,7 @@ class Child(Exchange):
         """What ends the work on a request, by its number."""
         self._heard = time.monotonic()
         self._has_turn = False
-        self._asks = False  # whether something of it may wait for another behavior
+        self._of_others: set[int] = set()  # the calls that other behaviors answer
         self._asked_at = 0  # the pass of the loop in which it has waited last
         self._stall: float | None = None
         self._streams: dict[int, Any] = {}
@@ -151,19 +151,18 @@ class Child(Exchange):
             faulthandler.cancel_dump_traceback_later()
         if self._has_turn:
             self._has_turn = False
-            self._send(Op.STILL if self._asks and self._is_still() else Op.IDLE, wake)
+            self._of_others &= self.calls.keys()
+            is_still = self._of_others and self._is_still()
+            self._send(Op.STILL if is_still else Op.IDLE, wake)
 
     def _is_still(self) -> bool:
-        """Tell whether all of it wait for the robot, and one for another behavior."""
+        """Tell whether each of its tasks waits for the end of a call."""
         assert self.owner is not None
-        living = self.owner.living()
-        ends: list[Any] = [getattr(task, "_fut_waiter", None) for task in living]
-        waits = [each for each in ends if isinstance(each, Outcome)]
-        self._asks = any(each.asks for each in waits)
+        ends = [getattr(each, "_fut_waiter", None) for each in self.owner.living()]
+        waits = sum(isinstance(each, Outcome) for each in ends)
         # A task that carries threads does nothing but wait for them.
         threads = len(self.owner.threads)
-        carries = 1 if threads and len(waits) >= threads else 0
-        return self._asks and len(living) - len(waits) <= carries
+        return len(ends) - waits <= (1 if threads and waits >= threads else 0)
 
     def tick(self) -> None:
         self._wire.send(Op.TICK, NEVER)
@@ -212,7 +211,7 @@ class Child(Exchange):
         outcome = Outcome(self, loop=self.loop)
         outcome.number = self._call(settle(outcome), verb, args, options)
         if verb in _OF_OTHERS:
-            self._asks = outcome.asks = True
+            self._of_others.add(outcome.number)
         return outcome
 
     def told_of(self, number: int, hear: Callable[[Any], object]) -> None:
@@ -402,8 +401,6 @@ class Outcome(asyncio.Future[Any]):
         super().__init__(loop=loop)
         self._child = child
         self.number = 0
-        self.asks: bool = False
-        """Whether another behavior has to answer."""
 
     def cancel(self, msg: Any | None = None) -> bool:
         if self._child.calls.pop(self.number, None) is not None:

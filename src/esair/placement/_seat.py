@@ -214,9 +214,9 @@ class Seat:
     def works(self) -> Iterable[asyncio.Task[Any]] | None:
         """Return what its process waits for; None if that may go on by itself."""
         process = self.process
-        return (
-            process.tasks.values() if process is not None and process.is_still else None
-        )
+        if process is None or process.queue or not process.is_still:
+            return None  # what waits there for its turn to be told lets it go on
+        return process.tasks.values()
 
     # Its methods.
 
