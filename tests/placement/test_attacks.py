@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import socket
+import struct
 import subprocess
 import sys
 import textwrap
@@ -25,6 +27,8 @@ from tests.placement.parts import (
 from tests.placement.test_life import STOP, fake_wheels, lives, place, until
 
 import esair
+from esair.codec import CodecError
+from esair.placement._wire import PACKET, Item, Op, Wire
 from esair.testing import FakeSensor
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.xdist_group("placement")]
@@ -331,3 +335,24 @@ def test_nobody_pays_who_places_nothing() -> None:
         check=True,
     )
     assert ended.stdout == "[]\n"
+
+
+@pytest.mark.promise("PLC-5")
+def test_a_packet_that_is_cut_is_no_message() -> None:
+    """Also where the cut lies between two items: the second would be lost in silence."""
+    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    wire, other = Wire(ends[0]), Wire(ends[1])
+    try:
+        wire.send(Op.GO, 1.0, [Item(Op.CALL, 1, "run", b"")])
+        one = ends[1].recv(PACKET, socket.MSG_PEEK)
+        assert other.receive() == (Op.GO, 1.0, [Item(Op.CALL, 1, "run", b"")])
+        size = PACKET - len(one)
+        wire.send(Op.GO, 1.0, [Item(Op.CALL, 1, "run", b"x" * size)])
+        full = ends[1].recv(PACKET)
+        assert len(full) == PACKET
+        ends[0].send(full + one[struct.calcsize("<cd") :])
+        with pytest.raises(CodecError):
+            other.receive()
+    finally:
+        wire.close()
+        other.close()

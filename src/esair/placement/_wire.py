@@ -137,11 +137,15 @@ class Wire:
             BlockingIOError: There is none, and the socket does not wait.
             CodecError: It is no message.
         """
-        data, beside, _, _ = self._end.recvmsg(PACKET, _FILES, socket.MSG_CMSG_CLOEXEC)
+        data, beside, flags, _ = self._end.recvmsg(
+            PACKET, _FILES, socket.MSG_CMSG_CLOEXEC
+        )
         if beside:
             data = _contents(data, beside)
         if not data:
             return None
+        if flags & socket.MSG_TRUNC:
+            raise CodecError("it is no message")
         try:
             kind, moment = _HEAD.unpack_from(data)
             items: list[Item] = []
@@ -167,7 +171,7 @@ def _contents(data: bytes, beside: list[tuple[int, int, bytes]]) -> bytes:
     for _, _, each in beside:
         files.frombytes(each[: len(each) // 4 * 4])
     try:
-        if data != _FILE:
+        if data != _FILE or not files:
             return data
         fcntl.fcntl(files[0], fcntl.F_GET_SEALS)
         size = os.fstat(files[0]).st_size
