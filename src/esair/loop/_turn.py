@@ -312,8 +312,8 @@ class TurnLoop(asyncio.SelectorEventLoop):
 
     def listen(self, file: int, function: Callable[[], object]) -> None:
         """Call a function when a file can be read, before the border."""
-        self._listens[file] = function
         self._selector.register(file, selectors.EVENT_READ)  # type: ignore[attr-defined]
+        self._listens[file] = function
 
     def forget(self, file: int) -> None:
         """Listen to a file no more; fine if it is not listened to."""
@@ -415,20 +415,22 @@ class TurnLoop(asyncio.SelectorEventLoop):
         if events:
             listens = self._listens
             self._rises = True
-            for each in tuple(events):
-                function = listens.get(each[0].fd)
-                if function is None:
-                    continue
-                events.remove(each)
-                try:
-                    function()
-                except Exception as error:  # hot: `contained` would be one more call
-                    told = {"message": "a listener raised", "exception": error}
-                    self.call_exception_handler(told)
-                except BaseException:
-                    self._rises = False
-                    raise
-            self._rises = False
+            try:
+                for each in tuple(events):
+                    key = each[0]
+                    function = listens.get(key.fd)
+                    if function is None and key.data is not None:
+                        continue
+                    events.remove(each)
+                    if function is None:
+                        continue  # one that was heard before has forgotten it
+                    try:
+                        function()
+                    except Exception as error:  # hot: `contained` is one more call
+                        told = {"message": "a listener raised", "exception": error}
+                        self.call_exception_handler(told)
+            finally:
+                self._rises = False
         return events
 
     def _replay(self, timeout: float | None) -> Any:
