@@ -183,6 +183,23 @@ class Locks(esair.Behavior):
             os.rmdir(self.folder)
 
 
+class Exits(esair.Behavior):
+    """Drives in a process of its own, and ends that where it sees nothing."""
+
+    placement = "process"
+    restart = esair.Restart(max=1, within=60.0, delay=0.1)
+    sonar = esair.reads(float)
+    arm = esair.writes(Twist)
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.05):
+            try:
+                await self.sonar.read()
+            except esair.EsairError:
+                os._exit(3)
+            await self.arm.write(Twist(0.2, 0.0))
+
+
 class Turns(esair.Reaction):
     """Turns when something is near, in a process of its own."""
 
@@ -234,6 +251,14 @@ def children(folder: str = "") -> esair.Robot:
     return esair.Robot(
         resources=[Sonar(), Wheels(), Wheels(name="arm")],
         behaviors=[KeepClear(), Turns(), Locks(folder)],
+    )
+
+
+def exits() -> esair.Robot:
+    """Return one that cannot live without its sonar."""
+    return esair.Robot(
+        resources=[Sonar(), Wheels(), Wheels(name="arm")],
+        behaviors=[KeepClear(), Turns(), Exits()],
     )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 from tests.placement.test_attacks import children_of
-from tests.torture.planted import children, locked
+from tests.torture.planted import children, exits, locked
 
 import esair
 from esair.placement import PlacedRunner
@@ -83,3 +83,11 @@ def test_a_death_that_nobody_takes_for_a_crash_is_seen(
     killed = Step(3.0, "killed", "turns", how="SIGKILL")
     outcome = tell(target(children), Story(1, (killed,), 18.5))
     assert ("works", "turns") in outcome.keys
+
+
+@pytest.mark.promise("TOR-1")
+def test_a_death_that_torture_has_no_part_in_is_its_own() -> None:
+    """It fails for good by that: an error of its own, as any other."""
+    steps = (Step(3.0, "unplugged", "sonar", lasts=6.0),)
+    outcome = tell(target(exits), Story(1, steps, 25.0))
+    assert ("ended", "exits") in outcome.keys

@@ -388,6 +388,11 @@ class Process(Exchange):
             with contextlib.suppress(OSError):
                 signal.pidfd_send_signal(self._pidfd, number)
 
+    def kill(self, number: int, within: float) -> None:
+        """End it by a signal; wait until that is told here, for a clock that is not real."""
+        self._signal(number)
+        select.select((self._status,), (), (), within)
+
     def _end_work(self) -> None:
         work, self._work = self._work, 0
         if work:

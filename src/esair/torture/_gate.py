@@ -14,7 +14,6 @@ from typing import Any, Protocol
 import attrs
 
 from esair.actions import Reaction
-from esair.exceptions import ProcessDiedError
 from esair.loop import portal
 from esair.resources import HOLD, Actuator, Resource, Sensor
 from esair.testing import VirtualLoop
@@ -89,8 +88,7 @@ def is_injected(error: BaseException) -> bool:
     """Tell whether an error is one of those, or a group of them."""
     if isinstance(error, BaseExceptionGroup):
         return all(map(is_injected, error.exceptions))
-    is_death = isinstance(error, ProcessDiedError)
-    return is_death or _INJECTED in getattr(error, "__notes__", ())
+    return _INJECTED in getattr(error, "__notes__", ())
 
 
 class Gate:

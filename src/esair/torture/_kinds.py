@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import inspect
-import os
 import random
-import select
 import signal
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -24,6 +21,7 @@ if TYPE_CHECKING:
     from esair.torture._story import Step
     from esair.torture._world import World
 
+DIES_WITHIN = 5.0  # How long a process that is killed may take to end, in real seconds
 FLOOD = 100  # How many requests or commands are a flood
 
 
@@ -267,15 +265,14 @@ async def _write_all(port: Any, command: Any) -> None:
 @_kind("behavior", "placed", hows=("SIGKILL", "SIGSEGV", "SIGABRT"))
 def killed(world: World, step: Step) -> None:
     """The process that it has dies, in this moment of the virtual clock."""
-    pid = world.robot.behaviors.query(_action(world, step)).pid
-    if pid is None:
+    name = _action(world, step)
+    # Nobody else may kill it, so nothing public does.
+    seat = world.robot.behaviors._deployment.members[name].seat  # noqa: SLF001
+    process = None if seat is None else seat.process
+    if process is None or process.pid is None or process.error is not None:
         raise NotNowError
-    with contextlib.suppress(ProcessLookupError):
-        os.kill(pid, signal.Signals[step.how])
-        while True:
-            os.kill(pid, 0)
-            select.select((), (), (), 0.001)
-    select.select((), (), (), 0.005)  # the robot is told after that
+    world.deeds.dying.add(name)
+    process.kill(signal.Signals[step.how], DIES_WITHIN)
 
 
 # The user.

@@ -9,7 +9,7 @@ import attrs
 
 import esair
 from esair.actions import Guards, Works, declared_works
-from esair.exceptions import describe
+from esair.exceptions import ProcessDiedError, describe
 from esair.journal import Event, Kind
 from esair.messages import BehaviorState, ResourceState, SupervisorPhase
 from esair.torture._gate import is_injected
@@ -76,11 +76,17 @@ class Deeds:
         self.pauses: dict[Deed, float] = {}  # The longest since `UP_AFTER`, in seconds
         # What each action has raised, that is: whether torture has injected it
         self.crashes: dict[str, list[bool]] = {}
+        self.dying: set[str] = set()
+        """The actions whose process torture has killed, until that is heard."""
         robot.journal.listen(self._hear, kinds=(*_VERBS, Kind.CRASHED))
 
     def _hear(self, event: Event) -> None:
         if event.kind is Kind.CRASHED:
+            killed = isinstance(event.value, ProcessDiedError)
             of_torture = is_injected(event.value)
+            if killed and event.component in self.dying:
+                self.dying.discard(event.component)
+                of_torture = True
             self.crashes.setdefault(event.component, []).append(of_torture)
         elif not isinstance(event.value, BaseException):
             deed = Deed(event.peer, _VERBS[event.kind], event.component)
