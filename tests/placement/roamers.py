@@ -16,7 +16,6 @@ from typing import Any
 import attrs
 
 import esair
-import esair.minimal as emin
 
 Effect = tuple[float, str, Any]
 """When something was seen, in seconds, where, and what."""
@@ -108,8 +107,6 @@ class PlainWaves(Counts):
 class Pushes(Counts):
     """Pushes each value."""
 
-    max_age = 0.5
-
     def __init__(self, fails: tuple[int, int], pause: float, **settings: Any) -> None:
         super().__init__(fails, **settings)
         self.pause = pause
@@ -140,17 +137,6 @@ class Follows(esair.Reaction):
         if eye < INITIAL - 0.2:
             return None
         return round(eye + esair.random.uniform(0.1, 0.2) + self.now_ms % 7, 6)
-
-
-class SmallFollows(emin.Reaction):
-    eye = emin.reads(float)
-    wheel = emin.writes(float, priority=3)
-
-    def __init__(self, gain: float) -> None:
-        self.gain = gain
-
-    def react(self, eye: float) -> float | None:
-        return round(self.gain * eye + self.elapsed_ms, 6)
 
 
 class Guard(esair.Reaction):

@@ -140,7 +140,7 @@ class _Walk:
         self.items -= items
         if depth <= 0:
             raise CodecError(f"it is nested deeper than {DEPTH}")
-        if self.items < 0:
+        if self.items < 0:  # hot: as `count`
             self.count(0)
         return depth - 1
 
@@ -189,7 +189,7 @@ class _Writer(_Walk):
 
     def head(self, tag: bytes, size: int, depth: int, weight: int = 1) -> int:
         depth = self.nest(depth, weight + size)
-        if len(self.out) > self.limit:
+        if len(self.out) > self.limit:  # hot: as `check_size`
             self.check_size()
         self.out += _put_size(tag, size)
         return depth
