@@ -123,6 +123,30 @@ async def test_a_motion_given_up_before_the_stop_is_named_while_it_lives(
     assert robot.resources.abandoned() == ()
 
 
+@pytest.mark.promise("CALL-1", "CALL-2")
+@pytest.mark.parametrize(("takes", "answered"), [(30.0, False), (3.0, True)])
+async def test_a_safe_command_given_up_before_the_stop_is_named_while_it_lives(
+    takes: float, answered: bool, user_of: Any
+) -> None:
+    """It lands late, after the one that the wheels have answered since."""
+    motor = Motor(0.0, deaf=True)
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]) as robot:
+        await user.motor.write(1.0)
+        motor.safe_takes = takes
+        await robot.halt("to be safe")
+        motor.safe_takes = 0.0
+        await asyncio.sleep(5.0)
+    (told,) = robot.stopped
+    landed = list(motor.landed)
+    assert told.safe
+    assert told.answered is answered
+    assert ("(0.0), begun before it, has not ended" in told.error) is not answered
+    await asyncio.sleep(40.0)
+    assert (motor.landed == landed) is answered
+    assert robot.resources.abandoned() == ()
+
+
 @pytest.mark.promise("CALL-1")
 async def test_a_writer_gets_its_outcome_at_the_deadline(user_of: Any) -> None:
     """Though the driver swallows its cancellation, and goes on for a minute."""

@@ -236,8 +236,8 @@ class Call:
 
     @property
     def may_move(self) -> bool:
-        """Whether it may move an actuator: a command, or an operation."""
-        return self.kind == "write" or self.kind.startswith(OPERATE)
+        """Whether it may move an actuator: a command, also the safe one; an operation."""
+        return self.kind in {"write", "safe"} or self.kind.startswith(OPERATE)
 
     def cancel(self) -> None:
         """Ask the driver to end it; a thread cannot be asked."""

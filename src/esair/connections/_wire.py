@@ -243,12 +243,16 @@ class Wire:
         self.applied.took(copy.deepcopy(command))  # who has the answer may change it
 
     def unsettled(self) -> Call | None:
-        """Return a motion that is alive, and may still undo the safe command."""
+        """Return a call that is alive, and may still undo what it was told since.
+
+        A safe command may, too: there are actuators that are safe where they stay.
+        """
         alive = self._device.calls.alive
         if not (alive or self._device.robot.left):
             return None
-        mine = (call for call in alive.values() if call.may_move)
-        return next(mine, None) or next(self.motions_left(), None)
+        mine = [call for call in alive.values() if call.may_move]
+        mine += self.motions_left()
+        return min(mine, key=lambda call: call.kind == "safe", default=None)
 
     def motions_left(self) -> Iterator[Call]:
         """Yield the motions that nobody waits for, and that have not ended."""
@@ -260,7 +264,7 @@ class Wire:
         """Report what it was told, and whether that is what it does."""
         told, error = self.told, self.told.error
         earlier = self.unsettled()
-        if earlier is not None:
+        if earlier is not None and not (error and earlier.kind == "safe"):
             error = f"{earlier}, begun before it, has not ended"
         name = self._device.name
         return LastCommand(name, told.command, told.is_safe, not error, error)
