@@ -29,6 +29,13 @@ def told(make: Callable[[], esair.Robot], *steps: Step, lasts: float = 4.0) -> W
     return world
 
 
+def decisions(world: World, name: str, *, since: float) -> list[float]:
+    """Return when what an action moves was told to move, since a moment."""
+    moved = {"turns": "wheels", "locks": "arm"}[name]
+    (gate,) = (each for each in world.gates if each.name == moved)
+    return [each.begun for each in gate.told if each.begun >= since and not each.safe]
+
+
 @pytest.mark.parametrize(
     "how",
     [
@@ -48,6 +55,36 @@ def test_a_death_is_safe_and_the_next_life_decides(name: str, how: str) -> None:
     assert after[0].safe
     assert after[0].begun == pytest.approx(1.0, abs=0.051)
     assert any(not each.safe for each in after[1:])
+
+
+@pytest.mark.parametrize("name", ["turns", "locks"])
+def test_who_gets_no_time_is_safe_and_goes_on_where_it_was(name: str) -> None:
+    """It decides nothing meanwhile, and is the same process afterwards."""
+    world = told(children, Step(1.0, "stopped", name, lasts=2.0), lasts=5.0)
+    assert world.judge.found == []
+    assert world.deeds.crashes == {}
+    after = decisions(world, name, since=1.0)
+    assert after[0] == pytest.approx(3.0, abs=0.011)
+
+
+@pytest.mark.parametrize("name", ["turns", "locks"])
+def test_who_gets_no_time_for_long_is_killed_and_lives_again(name: str) -> None:
+    """That is a hang: after the stall of its placement."""
+    world = told(children, Step(1.0, "stopped", name, lasts=8.0), lasts=9.0)
+    assert world.judge.found == []
+    assert world.deeds.crashes == {name: [True]}
+    after = decisions(world, name, since=1.0)
+    assert 6.0 < after[0] < 6.5
+
+
+@pytest.mark.parametrize("how", KINDS["filled"].hows)
+@pytest.mark.parametrize("name", ["turns", "locks"])
+def test_who_gets_no_more_memory_or_files_breaks_no_rule(name: str, how: str) -> None:
+    """It may well go on; what it cannot do is an error of its own."""
+    world = told(children, Step(1.0, "filled", name, how=how, lasts=1.0))
+    assert world.judge.found == []
+    assert world.done["filled"] == 1
+    assert decisions(world, name, since=2.5)
 
 
 def test_who_has_a_process_is_in_the_cast() -> None:
@@ -70,7 +107,7 @@ def test_the_search_finds_it() -> None:
     report = torture(target(locked), seed=1, faults=3000, findings=1)
     (finding,) = report.findings
     assert finding.violation.key == ("works", "locks")
-    assert {each.kind for each in finding.story.steps} == {"killed"}
+    assert {each.kind for each in finding.story.steps} <= {"killed", "stopped"}
     assert children_of(os.getpid()) == []
 
 

@@ -393,6 +393,16 @@ class Process(Exchange):
         self._signal(number)
         select.select((self._status,), (), (), within)
 
+    def stop(self) -> None:
+        """Let it stand still, and time pass meanwhile, on a clock that is not real."""
+        self._signal(signal.SIGSTOP)
+        self._door.rest(self._lane)  # type: ignore[arg-type]
+
+    def go_on(self) -> None:
+        """Let it go on where it was stopped."""
+        self._door.go_on(self._lane)  # type: ignore[arg-type]
+        self._signal(signal.SIGCONT)
+
     def _end_work(self) -> None:
         work, self._work = self._work, 0
         if work:

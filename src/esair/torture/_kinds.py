@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import random
+import resource as limits
 import signal
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -262,17 +263,56 @@ async def _write_all(port: Any, command: Any) -> None:
         await port.write(command)
 
 
-@_kind("behavior", "placed", hows=("SIGKILL", "SIGSEGV", "SIGABRT"))
-def killed(world: World, step: Step) -> None:
-    """The process that it has dies, in this moment of the virtual clock."""
+def _process(world: World, step: Step) -> Any:
+    """Return the process that an action has, idle: nobody else may touch it."""
     name = _action(world, step)
-    # Nobody else may kill it, so nothing public does.
     seat = world.robot.behaviors._deployment.members[name].seat  # noqa: SLF001
     process = None if seat is None else seat.process
     if process is None or process.pid is None or process.error is not None:
         raise NotNowError
-    world.deeds.dying.add(name)
+    return process
+
+
+@_kind("behavior", "placed", hows=("SIGKILL", "SIGSEGV", "SIGABRT"))
+def killed(world: World, step: Step) -> None:
+    """The process that it has dies, in this moment of the virtual clock."""
+    process = _process(world, step)
+    world.deeds.dying.add(step.target)
     process.kill(signal.Signals[step.how], DIES_WITHIN)
+
+
+@_kind("behavior", "placed", lasts=(0.05, 0.5, 2.0, 8.0))
+def stopped(world: World, step: Step) -> Callable[[], object]:
+    """The process that it has gets no time; long enough, that is a hang."""
+    process = _process(world, step)
+    world.deeds.dying.add(step.target)
+    process.stop()
+
+    def go_on() -> None:
+        if process.error is None:
+            world.deeds.dying.discard(step.target)
+            process.go_on()
+
+    return go_on
+
+
+FULL = {"memory": limits.RLIMIT_AS, "files": limits.RLIMIT_NOFILE}
+
+
+@_kind("behavior", "placed", lasts=LONG, hows=tuple(FULL), weight=0.5)
+def filled(world: World, step: Step) -> Callable[[], object]:
+    """The process that it has gets no more memory, or opens no more files."""
+    process, what = _process(world, step), FULL[step.how]
+    world.deeds.dying.add(step.target)
+    before = limits.prlimit(process.pid, what)
+    limits.prlimit(process.pid, what, (0, before[1]))
+
+    def empty() -> None:
+        if process.error is None:
+            world.deeds.dying.discard(step.target)
+            limits.prlimit(process.pid, what, before)
+
+    return empty
 
 
 # The user.

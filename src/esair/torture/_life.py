@@ -233,10 +233,11 @@ def _ended(world: World, name: str, habits: Habits) -> str:
     member = world.robot.behaviors.query(name)
     if member.state is BehaviorState.FINISHED and name in habits.lasting:
         return "its run has ended; while nothing is wrong it goes on"
-    was_mad = any(
-        step.kind == "mad" and step.target == name for step in world.story.steps
+    was_made_to = any(
+        step.kind in {"mad", "filled"} and step.target == name
+        for step in world.story.steps
     )
-    by_itself = not was_mad and world.deeds.has_failed_by_itself(name)
+    by_itself = not was_made_to and world.deeds.has_failed_by_itself(name)
     if member.state is BehaviorState.FAILED and by_itself and name in habits.lasting:
         why = "" if member.error is None else f": {describe(member.error)}"
         return f"it has failed for good, by an error of its own{why}"
