@@ -1,6 +1,7 @@
 """An actuator that somebody moves while another takes its place."""
 
 import asyncio
+import contextlib
 from typing import Any
 
 import pytest
@@ -48,6 +49,37 @@ async def test_a_write_that_waits_does_not_follow_the_safe_command() -> None:
     assert old.commands[-2:] == [0.5, 0.0]
     assert new.commands[0] == new.commands[-1] == 0.0
     assert 0.5 in new.commands
+
+
+class Idle(esair.Behavior):
+    """Lets others write for it."""
+
+    motor = esair.writes(float)
+
+    async def run(self) -> None:
+        await asyncio.Future()
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.parametrize("passes", range(12))
+@pytest.mark.promise("AC-4", "RS-5")
+async def test_a_write_of_just_then_does_not_follow_the_safe_command(
+    passes: int,
+) -> None:
+    """However few passes of the loop it comes after the safe command has ended."""
+    old, new, user = Slow(), Slow(), Idle()
+
+    async with esair.Robot(resources=[old], behaviors=[user]) as robot:
+        await user.motor.write(0.5)
+        replacing = asyncio.create_task(robot.resources.replace("motor", new))
+        await asyncio.sleep(0.01)
+        for _ in range(passes):
+            await asyncio.sleep(0)
+        with contextlib.suppress(esair.DeviceLostError):
+            await user.motor.write(0.7)
+        await replacing
+
+    assert old.commands == [0.0, 0.5, 0.0]
 
 
 class Beat(esair.Behavior):
