@@ -80,15 +80,15 @@ class Wheels(FakeActuator[float]):
 
     def __init__(self) -> None:
         super().__init__("wheels", safe=SAFE)
-        self.moving = 0
-        """How many motions the driver has not ended, its caller gone or not."""
+        self.alive = 0
+        """How many commands the driver has not ended, their callers gone or not."""
 
     async def write(self, command: float) -> None:
-        self.moving += command != SAFE
+        self.alive += 1
         try:
             await super().write(command)
         finally:
-            self.moving -= command != SAFE
+            self.alive -= 1
 
     async def open(self) -> None:
         await super().open()
@@ -200,15 +200,15 @@ class SupervisorMachine(RuleBasedStateMachine):
         return self.loop.run_until_complete(work)
 
     def made(self, name: str) -> Any:
-        """Make a resource; all wheels there ever were may have a motion that lives."""
+        """Make a resource; all wheels there ever were may have a command that lives."""
         if name != "wheels":
             return FakeSensor(name, 1.0)
         self.wheels_ever.append(Wheels())
         return self.wheels_ever[-1]
 
     def is_unsettled(self) -> bool:
-        """Whether a motion is alive, of these wheels or of some before them."""
-        return any(each.moving for each in self.wheels_ever)
+        """Whether a command is alive, of these wheels or of some before them."""
+        return any(each.alive for each in self.wheels_ever)
 
     def next(self) -> int:
         self.numbers += 1

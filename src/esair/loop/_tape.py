@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 Tag = tuple[str, ...]
 """Which call it is the end of, or who tells something: such as ``("sonar", "read")``."""
 
-PATIENCE = 10.0  # how long a replay waits for a thread of the robot's own, in seconds
+PATIENCE = (
+    30.0  # how long a replay waits for a thread or a process of the robot's own, in s
+)
 IMPATIENT = 0.2  # how long it waits for one when it has waited in vain before
 HOPELESS = 50  # how often it waits for threads in vain before it does no more
 

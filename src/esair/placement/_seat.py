@@ -17,7 +17,17 @@ from typing import Any, Final
 from esair.actions import Behavior, Hooks, Reaction, ReactionRunner, StepClock, Takes
 from esair.codec import kinds_of
 from esair.exceptions import BadValueError, ProcessDiedError
-from esair.loop import Deadlines, Job, Owner, Step, outside, spawn, turn_of
+from esair.loop import (
+    Deadlines,
+    Door,
+    Job,
+    Owner,
+    Player,
+    Step,
+    outside,
+    spawn,
+    turn_of,
+)
 from esair.messages import Placement, placement_of
 from esair.placement._nursery import Nursery
 from esair.placement._process import Process
@@ -56,9 +66,11 @@ class Seats:
         """Wait until children can be made."""
 
         async def wait() -> None:
-            loop = asyncio.get_running_loop()
             await loop.run_in_executor(None, self.nursery.wait)
 
+        loop = asyncio.get_running_loop()
+        if isinstance(Door.of(loop).tape, Player):
+            self.nursery.wait()  # how long that takes is not on the tape
         await outside(("placement", "ready"), wait)
 
     def seat(self, component: Any) -> Seat:

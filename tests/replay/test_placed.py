@@ -1,0 +1,34 @@
+"""A robot with processes of its own is repeated, however late those are this time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from tests.replay.soak import recorded, told_by
+
+pytestmark = [pytest.mark.real_clock, pytest.mark.xdist_group("placement")]
+
+LATE = """
+import sys, time
+if "esair.placement._nursery" in " ".join(sys.orig_argv):
+    time.sleep(2.0)
+"""
+
+IMPATIENT = """
+import esair.loop._tape
+from esair.cli import main
+esair.loop._tape.PATIENCE = 1.0
+main(["replay", "run.mcap"])
+"""
+
+
+@pytest.mark.promise("PLC-7", "REP-2")
+async def test_a_repetition_waits_until_processes_can_be_made(tmp_path: Path) -> None:
+    """How long that takes is not in the recording: on a busy computer it is longer."""
+    told = await recorded("placed", 1, 1.0, tmp_path)
+    assert told.code == 0, told.text
+    (tmp_path / "sitecustomize.py").write_text(LATE)
+    words = ["-c", IMPATIENT]
+    told = await told_by(tmp_path, *words, hash_seed=2, patience=60.0)
+    assert told.text.startswith("equal"), told.text
