@@ -18,7 +18,7 @@ if "esair.placement._nursery" in " ".join(sys.orig_argv):
 IMPATIENT = """
 import esair.loop._tape
 from esair.cli import main
-esair.loop._tape.PATIENCE = 1.0
+esair.loop._tape.PATIENCE = {}
 main(["replay", "run.mcap"])
 """
 
@@ -29,6 +29,18 @@ async def test_a_repetition_waits_until_processes_can_be_made(tmp_path: Path) ->
     told = await recorded("placed", 1, 1.0, tmp_path)
     assert told.code == 0, told.text
     (tmp_path / "sitecustomize.py").write_text(LATE)
-    words = ["-c", IMPATIENT]
+    words = ["-c", IMPATIENT.format(1.0)]
     told = await told_by(tmp_path, *words, hash_seed=2, patience=60.0)
     assert told.text.startswith("equal"), told.text
+
+
+@pytest.mark.promise("REP-2")
+async def test_a_repetition_says_whom_it_has_not_waited_for(tmp_path: Path) -> None:
+    """Else it would seem that who comes too late decides otherwise."""
+    told = await recorded("placed", 1, 0.5, tmp_path)
+    assert told.code == 0, told.text
+    with (tmp_path / "robots.py").open("a") as module:
+        module.write(LATE)
+    words = ["-c", IMPATIENT.format(0.1)]
+    told = await told_by(tmp_path, *words, hash_seed=2, patience=60.0)
+    assert "follow was waited for in vain" in told.text

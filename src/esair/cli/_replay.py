@@ -172,6 +172,9 @@ def _show_divergence(found: Divergence, outcome: Outcome, console: Console) -> N
         lines.append(
             f"    {seen.sensor}, {1000 * age:.0f} ms old: {shown(seen.value, WIDTH)}"
         )
+    if outcome.late:
+        told = f"  {outcome.late} was waited for in vain: its code, or this computer, is slow"
+        lines.append(told)
     for line in lines:
         console.print(Text(printable(line)))  # it may be a stranger's recording
 

@@ -138,6 +138,8 @@ class Player:
         self._news = threading.Condition()
         self._patience = PATIENCE
         self._hopes = HOPELESS
+        self.late: str = ""
+        """Whose own thread or process was not waited for any longer, of all the first."""
         self.missed: int = 0
         """How much came in when the run was recorded, and nobody waited for now."""
         self._load()
@@ -272,6 +274,7 @@ class Player:
         with self._news:
             while not self._came.get(tag):
                 if not self._news.wait(max(0.0, end - time.monotonic())):
+                    self.late = self.late or tag[1]
                     self._hopes -= 1
                     self._patience = IMPATIENT if self._hopes > 0 else 0.0
                     return None

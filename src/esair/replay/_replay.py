@@ -41,6 +41,7 @@ class Outcome:
         seconds: How long the run took that was recorded.
         took: How long the replay took, in seconds.
         short: Why it was not compared to the end of the recording; empty if it was.
+        late: Whose own thread or process was waited for in vain; empty if nobody's.
     """
 
     equal: int
@@ -49,6 +50,7 @@ class Outcome:
     seconds: float
     took: float
     short: str = ""
+    late: str = ""
 
 
 class Replay:
@@ -233,6 +235,7 @@ class Replay:
             seconds=span.moment - span.began,
             took=time.monotonic() - began,
             short=spoiled or (f"{lost} events were not recorded" if lost else ""),
+            late="" if player is None else player.late,
         )
 
     @property
