@@ -105,6 +105,33 @@ async def test_a_stop_in_the_middle_of_commands_leaves_nothing(seed: int) -> Non
         await robot.behaviors.add(Idle(name="late"))
 
 
+class Eye(esair.Sensor[float]):
+    """Closes without a wait."""
+
+    async def read(self) -> float:
+        return 1.0
+
+
+@pytest.mark.fault("M20")
+@pytest.mark.promise("ROB-2", "SUP-2")
+@pytest.mark.parametrize("passes", range(4))
+async def test_a_removal_of_just_then_does_not_end_the_stop(
+    passes: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The stop has seen it, and it has gone before the stop comes to it."""
+
+    async def remove() -> None:
+        for _ in range(passes):
+            await asyncio.sleep(0)
+        await robot.resources.remove("eye")
+
+    async with esair.Robot(resources=[Eye(name="eye")]) as robot:
+        removing = asyncio.create_task(remove())
+    await asyncio.gather(removing, return_exceptions=True)
+    assert "met an error" not in caplog.text
+    assert robot.resources.names() == []
+
+
 @pytest.mark.promise("ROB-2")
 async def test_a_device_that_came_back_unnoticed_is_made_safe(fake_actuator):
     """The stop tries an actuator that is lost once more, for its safe command."""

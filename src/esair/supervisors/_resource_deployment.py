@@ -270,7 +270,7 @@ class ResourceDeployment:
         finally:
             try:
                 if self.lives.get(name) is life:
-                    await self._undeploy(name, ResourceState.REMOVED, until)
+                    await self._undeploy(life, ResourceState.REMOVED, until)
                     await self._let_go(life, until)
             finally:
                 self._has_departed(name)
@@ -363,8 +363,12 @@ class ResourceDeployment:
         channel.make_safe()
         await channel.safe.settled(until)
 
-    async def _undeploy(self, name: str, state: ResourceState, until: float) -> None:
-        life = self.lives[name]
+    async def _undeploy(
+        self, life: ResourceLife, state: ResourceState, until: float
+    ) -> None:
+        name = life.name
+        if self.lives.get(name) is not life:
+            return  # a command has closed it before the stop came to that
         if state is ResourceState.REMOVED:
             life.channel.removed()
         else:
@@ -471,12 +475,12 @@ class ResourceDeployment:
         until = min(self.deadline(), self._stops_since + self._grace + STOP_WITHIN)
         await self.commands.close()
         # What the user is taking away goes its own way.
-        stay = [name for name in self.lives if name not in self._departures]
-        closed = ResourceState.CLOSED
-        ends = [self._undeploy(name, closed, until) for name in stay]
+        lives, closed = self.lives, ResourceState.CLOSED
+        stay = [life for name, life in lives.items() if name not in self._departures]
+        ends = [self._undeploy(life, closed, until) for life in stay]
         await side_by_side([*ends, *self.commands.left(until)])
-        if self.lives:
-            ends = [self._undeploy(name, closed, until) for name in tuple(self.lives)]
+        if lives:
+            ends = [self._undeploy(life, closed, until) for life in lives.values()]
             await side_by_side(ends)
         if self.buses:
             await close_buses(self.buses)
