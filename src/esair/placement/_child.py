@@ -7,6 +7,7 @@ import concurrent.futures
 import contextlib
 import contextvars
 import faulthandler
+import importlib.util
 import inspect
 import json
 import logging
@@ -437,13 +438,28 @@ def find(recipe: dict[str, Any]) -> Any:
     """Return the class that a recipe names, in the child."""
     module = recipe["module"]
     if module == SCRIPT:
-        found: Any = _script(recipe["script"])
+        found: Any = _script(recipe["file"])
     else:
-        __import__(module)
+        try:
+            __import__(module)
+        except ModuleNotFoundError as error:
+            if error.name != module or recipe.get("file") is None:
+                raise
+            _load(module, recipe["file"])
         found = sys.modules[module]
     for part in recipe["class"].split("."):
         found = getattr(found, part)
     return found
+
+
+def _load(name: str, path: str) -> None:
+    """Import a file that the robot's process has found by itself, not by its path."""
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    sys.path.insert(0, os.path.dirname(os.path.abspath(path)))
+    sys.modules[name] = module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
 
 
 def _script(path: str) -> ModuleType:

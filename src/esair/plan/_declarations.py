@@ -488,8 +488,9 @@ def recipe_of(component: Any) -> dict[str, Any]:
         "fields": dict(vars(inner)) if options is None else {},
         "name": component.name,
     }
-    if kind.__module__ == SCRIPT:
-        found["script"] = getattr(sys.modules[SCRIPT], "__file__", None)
+    if "." not in kind.__module__:  # it may have come from a file that no path leads to
+        module = sys.modules.get(kind.__module__)
+        found["file"] = getattr(module, "__file__", None)
     return found
 
 
@@ -534,7 +535,7 @@ def _unnamed(component: Any) -> tuple[str, str, str] | None:
     if found is not type(inner):
         advice = "define it at the top of a module"
         return "placement", f"its class cannot be imported as {module}:{path}", advice
-    if module == SCRIPT and not recipe.get("script"):
+    if module == SCRIPT and not recipe.get("file"):
         return "placement", "its class is in no file", "put it into a module"
     return None
 
