@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import random
+import sys
+from ast import literal_eval
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
@@ -146,14 +148,40 @@ class Driver(esair.Behavior):
                     raise  # its own end has come
 
 
+KINDS = {"Guards": Guard, "Acts": Reflex, "Drives": Driver}
+
+
+def __getattr__(name: str) -> Any:
+    """Make the class of an action of its name, which says its ports: a child asks, too."""
+    kind, is_one, told = name.partition(":")
+    if not is_one:
+        raise AttributeError(name)
+    fields = dict[str, Any](
+        (attribute, value if access == "is" else getattr(esair, access)(float, **value))
+        for attribute, (access, value) in literal_eval(told).items()
+    )
+    made = type(name, (KINDS[kind],), {**fields, "__module__": __name__})
+    return globals().setdefault(name, made)
+
+
+def action_of(kind: str, **ports: tuple[str, Any]) -> Any:
+    """Return the class of an action that has these ports."""
+    return getattr(sys.modules[__name__], f"{kind}:{ports}")
+
+
 def names(kinds: tuple[type[Any], ...], dice: random.Random) -> dict[str, type[Any]]:
     """Choose one to three kinds, by name."""
     chosen = [dice.choice(kinds) for _ in range(dice.randint(1, 3))]
     return {f"{each.__name__.lower()}_{n}": each for n, each in enumerate(chosen)}
 
 
-def maker(seed: int) -> Callable[[], esair.Robot]:
-    """Return what makes the robot of a number, as often as it is called."""
+def maker(seed: int, *, placed: bool = False) -> Callable[[], esair.Robot]:
+    """Return what makes the robot of a number, as often as it is called.
+
+    Args:
+        seed: The number.
+        placed: Whether every second action that can has a process of its own.
+    """
 
     def make() -> esair.Robot:
         dice = random.Random(seed)
@@ -161,28 +189,28 @@ def maker(seed: int) -> Callable[[], esair.Robot]:
         actions: list[Any] = []
         ports: dict[str, Any]
         for n, wheel in enumerate(actuators):
-            eye = esair.reads(float, name=dice.choice(list(sensors)))
+            ports = {"eye": ("reads", {"name": dice.choice(list(sensors))})}
             match dice.randrange(4):
                 case 0:
-                    ports = {"eye": eye, "wheel": esair.guards(float, name=wheel)}
-                    actions.append(type("Guards", (Guard,), ports)(name=f"guard_{n}"))
+                    ports["wheel"] = ("guards", {"name": wheel})
+                    actions.append(action_of("Guards", **ports)(name=f"guard_{n}"))
                 case 1 | 2:
                     priority = dice.choice((0, 5))
-                    writes = esair.writes(float, name=wheel, priority=priority)
-                    ports = {"eye": eye, "wheel": writes}
+                    ports["wheel"] = ("writes", {"name": wheel, "priority": priority})
                     if dice.random() < 0.5:
-                        ports["rate"] = 10.0
-                    actions.append(type("Acts", (Reflex,), ports)(name=f"reflex_{n}"))
+                        ports["rate"] = ("is", 10)
+                    actions.append(action_of("Acts", **ports)(name=f"reflex_{n}"))
         drivers = [f"driver_{n}" for n in range(dice.randint(1, 3))]
         for n, name in enumerate(drivers):
-            ports = {
-                each: esair.writes(float) for each in actuators if dice.random() < 0.7
-            }
+            ports = {each: ("writes", {}) for each in actuators if dice.random() < 0.7}
             if not ports:  # deaf when its end comes, it would never hear of it
-                ports = {next(iter(actuators)): esair.writes(float)}
+                ports = {next(iter(actuators)): ("writes", {})}
             peer = drivers[(n + 1) % len(drivers)]
-            kind: Any = type("Drives", (Driver,), ports)
+            kind = action_of("Drives", **ports)
             actions.append(kind(name, peer, dice.randrange(1000)))
+        for action in actions[::2] if placed else ():
+            if not isinstance(action, Guard):
+                action.placement = "process"
         devices = {**sensors, **actuators}
         return esair.Robot(
             resources=[kind(name=name) for name, kind in devices.items()],

@@ -19,25 +19,36 @@ EACH = 500
 SEED = 100
 
 
+def soak(faults: int, *, placed: bool = False) -> None:
+    """Torture one robot after the other; fail with the first finding."""
+    seed = SEED
+    while faults > 0:
+        target = Target(f"robot {seed}", maker(seed, placed=placed))
+        report = torture(target, seed=seed, faults=min(faults, EACH))
+        assert [
+            (seed, str(each.violation), each.story) for each in report.findings
+        ] == []
+        faults -= report.faults
+        seed += 1
+
+
 @pytest.mark.long
 @pytest.mark.promise("CALL-2", "PRO-1", "ROB-2", "ROB-4", "BS-10", "AC-4")
 @pytest.mark.fault("D21", "D22", "R09", "R11", "X06", "B10")
 def test_soak(request: pytest.FixtureRequest) -> None:
     """No order, no fault and no end breaks what must hold."""
     option = request.config.getoption
-    left = (
-        SOAK if option("--esair-soak") else LONG if option("--esair-long") else FAULTS
+    long = LONG if option("--esair-long") else FAULTS
+    soak(SOAK if option("--esair-soak") else long)
+
+
+@pytest.mark.long
+@pytest.mark.promise("PLC-3", "PLC-4")
+def test_soak_of_processes(request: pytest.FixtureRequest) -> None:
+    """Nor where every second action has a process of its own."""
+    soak(
+        SOAK // 20 if request.config.getoption("--esair-soak") else FAULTS, placed=True
     )
-    seed = SEED
-    while left > 0:
-        report = torture(
-            Target(f"robot {seed}", maker(seed)), seed=seed, faults=min(left, EACH)
-        )
-        assert [
-            (seed, str(each.violation), each.story) for each in report.findings
-        ] == []
-        left -= report.faults
-        seed += 1
 
 
 @pytest.mark.promise("ROB-2", "SUP-3")
