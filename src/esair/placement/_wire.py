@@ -72,6 +72,7 @@ _FILE: Final = b"\0"
 _HEAD: Final = struct.Struct("<cd")
 _ITEM: Final = struct.Struct("<cqHI")
 _FILES: Final = socket.CMSG_SPACE(4 * 4)
+_CUT: Final = int(socket.MSG_TRUNC)  # a flag of `enum` takes as long as the call
 
 End = Callable[[Any, BaseException | None], object]
 """What is called with the value or the error of a call."""
@@ -144,7 +145,7 @@ class Wire:
             data = _contents(data, beside)
         if not data:
             return None
-        if flags & socket.MSG_TRUNC:
+        if flags & _CUT:
             raise CodecError("it is no message")
         try:
             kind, moment = _HEAD.unpack_from(data)
