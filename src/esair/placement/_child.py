@@ -7,6 +7,7 @@ import concurrent.futures
 import contextlib
 import contextvars
 import faulthandler
+import functools
 import inspect
 import json
 import logging
@@ -23,7 +24,7 @@ from typing import Any, Final
 from esair.actions import Behavior, Reaction, adapt_action
 from esair.codec import Kinds, declared, inner_of
 from esair.exceptions import BusyError, ConfigError, describe
-from esair.loop import NEVER, OwnedTasks, Owner, Portal, Stream, raisable, spawn
+from esair.loop import NEVER, OwnedTasks, Owner, Portal, Stream, raisable
 from esair.placement._home import Order, Reacting, fill, scope
 from esair.placement._loop import ChildLoop
 from esair.placement._verbs import SCRIPT_OF_CHILD
@@ -107,10 +108,8 @@ class Child(Exchange):
     """One component, and its way to the robot."""
 
     def __init__(self, wire: Wire) -> None:
-        super().__init__("", _KINDS)
+        super().__init__("", _KINDS, Owner())
         self._wire = wire
-        self._own = Owner()
-        self.owner: Owner | None = self._own
         self.component: Any = None
         self.portal: Portal | None = None
         self._news: dict[int, Callable[[Any], object]] = {}
@@ -157,7 +156,6 @@ class Child(Exchange):
 
     def _is_still(self) -> bool:
         """Tell whether each of its tasks waits for the end of a call."""
-        assert self.owner is not None
         ends = [getattr(each, "_fut_waiter", None) for each in self.owner.living()]
         waits = sum(isinstance(each, Outcome) for each in ends)
         # A task that carries threads does nothing but wait for them.
@@ -208,8 +206,10 @@ class Child(Exchange):
 
     def call(self, verb: str, *args: Any, **options: Any) -> asyncio.Future[Any]:
         """Call the robot; awaiting waits for the end."""
-        outcome = Outcome(self, loop=self.loop)
-        outcome.number = self._call(settle(outcome), verb, args, options)
+        outcome = Outcome(loop=self.loop)
+        outcome.child = self
+        end = functools.partial(settle, outcome)
+        outcome.number = self._call(end, verb, args, options)
         if verb in _OF_OTHERS:
             self._of_others.add(outcome.number)
         return outcome
@@ -295,14 +295,7 @@ class Child(Exchange):
             return
         context = contextvars.copy_context()
         context.run(scope.set, number)
-        self.tasks[number] = spawn(
-            self.loop,
-            self.work(number, method, *args, **options or {}),
-            name=f"{self.name} {verb}",
-            owner=self.owner,
-            context=context,
-            leaves=True,
-        )
+        self.begin(number, verb, context, method, args, options)
 
     def _method(self, verb: str) -> Callable[..., Any]:
         if verb in self._own_verbs:
@@ -317,7 +310,7 @@ class Child(Exchange):
     def _in_thread(self, verb: str, function: Callable[..., Any]) -> Callable[..., Any]:
         portal = self.portal
         if portal is None or verb not in {"setup", "run", "teardown"}:
-            portal = Portal(f"{self.name}_{verb}", self._own)
+            portal = Portal(f"{self.name}_{verb}", self.owner)
 
         async def run(*args: Any) -> Any:
             result: list[Any] = []
@@ -331,7 +324,7 @@ class Child(Exchange):
     def _settle(self, given: dict[str, Any]) -> None:
         sys.path[:] = given["path"]
         self.name = given["name"]
-        self._own.stream = Stream(given["stream"])
+        self.owner.stream = Stream(given["stream"])
         self._stall = given["stall"]
         if given["memory"] is not None:
             import resource
@@ -352,7 +345,7 @@ class Child(Exchange):
         self.component = made
         if isinstance(made, Behavior):
             if not inspect.iscoroutinefunction(made.run):
-                self.portal = Portal(self.name, self._own)
+                self.portal = Portal(self.name, self.owner)
             fill(self, made, self.portal)
         elif isinstance(made, Reaction):
             self.reacting[0] = Reacting(self, made)
@@ -397,14 +390,12 @@ class Child(Exchange):
 class Outcome(asyncio.Future[Any]):
     """The end of a call of the robot; who cancels it cancels that."""
 
-    def __init__(self, child: Child, *, loop: ChildLoop) -> None:
-        super().__init__(loop=loop)
-        self._child = child
-        self.number = 0
+    child: Child
+    number: int
 
     def cancel(self, msg: Any | None = None) -> bool:
-        if self._child.calls.pop(self.number, None) is not None:
-            self._child.tell(Op.CANCEL, self.number)
+        if self.child.calls.pop(self.number, None) is not None:
+            self.child.tell(Op.CANCEL, self.number)
         return super().cancel(msg)
 
 

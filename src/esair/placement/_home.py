@@ -29,6 +29,7 @@ from esair.actions import (
 from esair.connections import Halting, Stopped
 from esair.loop import Budget, Portal, Stepping, raisable, spawn
 from esair.messages import BehaviorStatus
+from esair.placement._wire import ASKED, AWAITED, CALLED
 from esair.plan import in_use, refuse, used_already
 
 if TYPE_CHECKING:
@@ -38,9 +39,6 @@ scope: contextvars.ContextVar[int] = contextvars.ContextVar("esair_scope", defau
 """For which call of the robot the code that runs now works."""
 
 _ACTIONS = (Action, minimal.Reaction)
-_AWAITED = {"read", "reading", "write", "configure", "operate"}
-_CALLED = {"history", "why", "release"}
-_ASKED = {"newest", "settings", "state", "max_age"}
 
 
 class Host:
@@ -114,7 +112,6 @@ class Host:
             refuse([used_already(behavior)], "")
         portal = None
         if not inspect.iscoroutinefunction(behavior.run):
-            assert child.owner is not None
             portal = Portal(child.name, child.owner)
         over = child.call("step", child.recipe(behavior))
         number, granted = child.newest, child.loop.create_future()
@@ -128,7 +125,6 @@ class Host:
             return over.result()
         host = fill(child, behavior, portal, str(number))
         try:
-            assert child.owner is not None
             return await run_as_step(
                 *(behavior, child.name, portal, child.owner, timeout),
                 lambda: child.wait("stage", number),
@@ -253,20 +249,20 @@ class RemotePort:
 
     def __getattr__(self, name: str) -> Any:
         child, key = self._child, self._key
-        if name in _AWAITED:
+        if name in AWAITED:
 
             async def wait(*args: Any, **options: Any) -> Any:
                 return await child.call("port", key, name, *args, **options)
 
             return wait
-        if name in _CALLED:
+        if name in CALLED:
 
             def call(*args: Any) -> Any:
                 found = child.wait("peek", key, name, *args)
                 return Done() if name == "release" else found
 
             return call
-        if name in _ASKED:
+        if name in ASKED:
             return child.wait("peek", key, name)
         raise AttributeError(name)
 
@@ -299,7 +295,7 @@ class BlockingPort:
 
     def __getattr__(self, name: str) -> Any:
         port, call = self._port, self._portal.call
-        if name in _AWAITED | _CALLED:
+        if name in AWAITED | CALLED:
             return lambda *args, **options: call(
                 in_loop, lambda: getattr(port, name)(*args, **options)
             )
