@@ -247,25 +247,6 @@ class RemotePort:
         self._key = key
         self.resource = resource
 
-    def __getattr__(self, name: str) -> Any:
-        child, key = self._child, self._key
-        if name in AWAITED:
-
-            async def wait(*args: Any, **options: Any) -> Any:
-                return await child.call("port", key, name, *args, **options)
-
-            return wait
-        if name in CALLED:
-
-            def call(*args: Any) -> Any:
-                found = child.wait("peek", key, name, *args)
-                return Done() if name == "release" else found
-
-            return call
-        if name in ASKED:
-            return child.wait("peek", key, name)
-        raise AttributeError(name)
-
     def __aiter__(self) -> AsyncIterator[Any]:
         return self._values()
 
@@ -277,6 +258,28 @@ class RemotePort:
                 yield await child.call("next", number)
         finally:
             child.note("left", number)
+
+
+def _awaited(name: str) -> Any:
+    async def call(self: RemotePort, *args: Any, **options: Any) -> Any:
+        return await self._child.call("port", self._key, name, *args, **options)
+
+    return call
+
+
+def _called(name: str) -> Any:
+    def call(self: RemotePort, *args: Any) -> Any:
+        found = self._child.wait("peek", self._key, name, *args)
+        return Done() if name == "release" else found
+
+    return call
+
+
+for _names, _made in ((AWAITED, _awaited), (CALLED, _called)):
+    for _name in _names:
+        setattr(RemotePort, _name, _made(_name))
+for _name in ASKED:
+    setattr(RemotePort, _name, property(_called(_name)))
 
 
 class Done:

@@ -28,10 +28,10 @@ class ChildLoop(TurnLoop):
         """How often it has gone on to what is ready."""
         super().__init__()
         self._home = home
-        self._is_told = False
-        self.listen(home.fileno(), self._told)
+        self._robot = home.fileno()
         self._waits = select.poll()
-        self._waits.register(home.fileno(), select.POLLIN)
+        for each in (self._robot, self._selector.fileno()):  # type: ignore[attr-defined]
+            self._waits.register(each, select.POLLIN)
 
     def clock(self) -> float:
         return self._now
@@ -57,24 +57,21 @@ class ChildLoop(TurnLoop):
             if not is_quiet:
                 if events := self._others(self._select(None)):
                     return events
-            elif self._turn.is_due(self._now) or self._first() <= self._now:
+            elif self._turn.is_due(self._now) or (first := self._first()) <= self._now:
                 break
             else:
-                return self._rest()
+                return self._rest(max(min(first, self._turn.due / SECOND), self._now))
         return self._others(self._select(0.0))
 
-    def _rest(self) -> Any:
+    def _rest(self, wake: float) -> Any:
         """Be idle until the robot says something; it also says what time it is."""
-        wake = min(self._first(), self._turn.due / SECOND)
-        self._home.idle(max(wake, self._now))
-        self._is_told = False
-        while True:  # a thread that has ended its work may ring late
-            events = self._others(self._select(None))
-            if self._is_told:
-                break
+        self._home.idle(wake)
+        events: Any = ()
+        while all(file != self._robot for file, _ in self._waits.poll()):
+            events = self._others(self._select(0.0))
+            # A thread that has ended its work may ring late.
             if events or self._ready or self._turn.door.ripen(works=True):  # type: ignore[attr-defined]
                 self._home.tick()  # something of its own: it has to know when that is
-                self._waits.poll()
                 break
         self._now = max(self._now, self._home.hear())
         self._clock_resolution = max(1e-9, 2 * math.ulp(self._now))
@@ -88,6 +85,3 @@ class ChildLoop(TurnLoop):
             count = self._timer_cancelled_count  # type: ignore[has-type]
             self._timer_cancelled_count = max(0, count - 1)
         return float(scheduled[0]._when) if scheduled else NEVER
-
-    def _told(self) -> None:
-        self._is_told = True
