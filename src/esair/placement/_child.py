@@ -108,7 +108,8 @@ class Child(Exchange):
     """One component, and its way to the robot."""
 
     def __init__(self, wire: Wire) -> None:
-        super().__init__("", _KINDS, Owner())
+        super().__init__("", _KINDS, ChildLoop(wire.fileno()), Owner())
+        self.loop.home = self
         self._wire = wire
         self.component: Any = None
         self.portal: Portal | None = None
@@ -135,14 +136,10 @@ class Child(Exchange):
             "apply": self._apply,
         }
         self._thread = threading.get_ident()
-        self.loop = ChildLoop(self)
         asyncio.set_event_loop(self.loop)
         OwnedTasks.of(self.loop).install()
 
     # What the loop asks.
-
-    def fileno(self) -> int:
-        return self._wire.fileno()
 
     def idle(self, wake: float) -> None:
         """Say that nothing is ready, and when to go on."""

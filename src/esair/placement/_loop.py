@@ -18,19 +18,25 @@ if TYPE_CHECKING:
 
 
 class ChildLoop(TurnLoop):
-    """The event loop of a child; `home` is the way to the robot."""
+    """The event loop of a child.
+
+    Args:
+        robot: The file on which the robot is heard; `home` hears it.
+    """
 
     virtual = True
 
-    def __init__(self, home: Child) -> None:
+    home: Child
+
+    def __init__(self, robot: int) -> None:
         self._now = 0.0
         self.passes = 0
         """How often it has gone on to what is ready."""
         super().__init__()
-        self._home = home
-        self._robot = home.fileno()
+        self._robot = robot
+        self._files: Any = self._selector._fd_to_key  # type: ignore[attr-defined]  # hot
         self._waits = select.poll()
-        for each in (self._robot, self._selector.fileno()):  # type: ignore[attr-defined]
+        for each in (robot, self._selector.fileno()):  # type: ignore[attr-defined]
             self._waits.register(each, select.POLLIN)
 
     def clock(self) -> float:
@@ -49,7 +55,7 @@ class ChildLoop(TurnLoop):
     def _work_off(self) -> Any:
         """Let go on what is ready, else threads, else what is due, else the robot."""
         ready, door = self._ready, self._turn.door  # type: ignore[attr-defined]
-        while not (ready or self._stopping or door.has_news):  # type: ignore[attr-defined]
+        while not (ready or self._stopping or door.entries):  # type: ignore[attr-defined]
             door.let_go()
             is_quiet = door.at_work == 0  # once: a thread may end at any moment
             if door.ripen(works=is_quiet):
@@ -61,19 +67,20 @@ class ChildLoop(TurnLoop):
                 break
             else:
                 return self._rest(max(min(first, self._turn.due / SECOND), self._now))
-        return self._others(self._select(0.0))
+        # What threads have called for is ready without the bell, its one file.
+        return self._others(self._select(0.0)) if len(self._files) > 1 else ()
 
     def _rest(self, wake: float) -> Any:
         """Be idle until the robot says something; it also says what time it is."""
-        self._home.idle(wake)
+        self.home.idle(wake)
         events: Any = ()
-        while all(file != self._robot for file, _ in self._waits.poll()):
+        while self._robot not in dict(self._waits.poll()):
             events = self._others(self._select(0.0))
             # A thread that has ended its work may ring late.
             if events or self._ready or self._turn.door.ripen(works=True):  # type: ignore[attr-defined]
-                self._home.tick()  # something of its own: it has to know when that is
+                self.home.tick()  # something of its own: it has to know when that is
                 break
-        self._now = max(self._now, self._home.hear())
+        self._now = max(self._now, self.home.hear())
         self._clock_resolution = max(1e-9, 2 * math.ulp(self._now))
         return events
 

@@ -89,7 +89,7 @@ class Process(Exchange):
         serve: Callable[[int, str, Any], object],
         died: Callable[[ProcessDiedError], object],
     ) -> None:
-        super().__init__(name, kinds, owner)
+        super().__init__(name, kinds, asyncio.get_running_loop(), owner)
         self.pid: int | None = None
         self.error: ProcessDiedError | None = None
         """Why it is gone; None while it lives."""
@@ -100,7 +100,7 @@ class Process(Exchange):
         self.sent = 0.0
         """When the message was sent that it works on."""
         self._serve, self._died = serve, died
-        self._loop = loop = asyncio.get_running_loop()
+        loop = self.loop
         self._time = clock_of(loop)
         self._door = Door.of(loop)
         self._tag = ("thread" if repeats else "driver", name)
@@ -154,14 +154,14 @@ class Process(Exchange):
         Who is cancelled here cancels it there, and waits for what it does then; who is
         cancelled again does not.
         """
-        waiter: asyncio.Future[Any] = self._loop.create_future()
+        waiter: asyncio.Future[Any] = self.loop.create_future()
         number = self.call(verb, args, functools.partial(settle, waiter), **options)
         try:
             return await waiter
         except asyncio.CancelledError:
             if number not in self.calls:
                 raise
-            waiter = self._loop.create_future()
+            waiter = self.loop.create_future()
             self.calls[number] = functools.partial(settle, waiter)
             self._told_to_end.add(number)
             self.tell(Op.CANCEL, number)
@@ -239,7 +239,7 @@ class Process(Exchange):
             self.condemn(f"has sent what is no message: {error}")
             return
         if message is None:
-            turn_of(self._loop).forget(self._wire.fileno())
+            turn_of(self.loop).forget(self._wire.fileno())
             return  # its status tells more
         self._arrived(*message)
 
@@ -269,7 +269,9 @@ class Process(Exchange):
         self.condemn("has spoken out of turn")
 
     def _open(self, work: int, kind: bytes, wake: float, items: list[Item]) -> None:
-        opened = [(each, *self.opened(each)) for each in items]
+        opened = []
+        for each in items:
+            opened.append((each, *self.opened(each)))  # noqa: PERF401 - one call less
         self._door.post(work, self._tag, self._came, kind, wake, opened)
 
     def _ticked(self) -> None:
@@ -293,11 +295,22 @@ class Process(Exchange):
         if kind != Op.SYNC:  # else its loop does not go on: it may ask for ever
             self._hangs_at = NEVER
         self.is_still = kind == Op.STILL
-        for each in items:
+        for (op, number, verb, _), value, error in items:
             try:
-                self._apply(*each)
-            except Exception as error:
-                self.condemn(f"has sent what is no value: {error}")
+                if op == Op.CALL and error is None:
+                    self._serve(number, verb, value)
+                elif op == Op.CALL:
+                    self.answer(number, None, error)
+                elif op == Op.CANCEL:
+                    self.cancel(number)
+                elif op in {Op.DONE, Op.FAIL}:
+                    self._told_to_end.discard(number)
+                    self.scopes.pop(number, None)
+                    self.ended(number, value, error)
+                else:
+                    self.condemn("has sent what is no message")
+            except Exception as failed:
+                self.condemn(f"has sent what is no value: {failed}")
             if self.error is not None:
                 return
         self._idle = True
@@ -305,7 +318,7 @@ class Process(Exchange):
             self._send()
         elif wake < NEVER:
             self._wanted = wake
-            self._wake = Scheduler.of(self._loop).at(wake, self._woken)
+            self._wake = Scheduler.of(self.loop).at(wake, self._woken)
 
     def _woken(self, _now: float) -> None:
         self._wake = None
@@ -313,23 +326,8 @@ class Process(Exchange):
 
     def _forget_wake(self) -> None:
         if self._wake is not None:
-            Scheduler.of(self._loop).cancel(self._wake)
+            Scheduler.of(self.loop).cancel(self._wake)
             self._wake = None
-
-    def _apply(self, item: Item, value: Any, error: BaseException | None) -> None:
-        op, number, verb, _ = item
-        if op == Op.CALL and error is None:
-            self._serve(number, verb, value)
-        elif op == Op.CALL:
-            self.answer(number, None, error)
-        elif op == Op.CANCEL:
-            self.cancel(number)
-        elif op in {Op.DONE, Op.FAIL}:
-            self._told_to_end.discard(number)
-            self.scopes.pop(number, None)
-            self.ended(number, value, error)
-        else:
-            self.condemn("has sent what is no message")
 
     # Its end.
 
@@ -360,7 +358,7 @@ class Process(Exchange):
             self._hang.start(self._hangs_at)
             return
         self._signal(signal.SIGUSR1)  # says where it is
-        self._loop.call_later(STACK, self.condemn, f"hung for {self._stall:g} s")
+        self.loop.call_later(STACK, self.condemn, f"hung for {self._stall:g} s")
 
     def condemn(self, how: str) -> None:
         """It cannot be used any more, whatever it does."""
@@ -429,7 +427,7 @@ class Process(Exchange):
         for task in tuple(self.tasks.values()):
             task.cancel()
         self.tasks.clear()
-        loop = self._loop
+        loop = self.loop
         if not loop.is_closed():
             turn_of(loop).forget(self._wire.fileno())
             loop.remove_reader(self._status.fileno())

@@ -282,7 +282,8 @@ class Seat:
     # What the child asks for.
 
     def _serve(self, number: int, verb: str, given: Any) -> None:
-        process = self.lives
+        process = self.process
+        assert process is not None
         try:
             scope, busy, options, *args = given
         except (TypeError, ValueError):

@@ -200,12 +200,14 @@ class Exchange:
     Args:
         name: Of the component, for errors.
         kinds: The classes that may cross.
+        loop: Where it works.
         owner: Of the tasks in which it works on calls of the other side.
     """
 
-    def __init__(self, name: str, kinds: Kinds, owner: Owner) -> None:
+    def __init__(self, name: str, kinds: Kinds, loop: Any, owner: Owner) -> None:
         self.name = name
         self.kinds = kinds
+        self.loop = loop
         self.owner = owner
         self.queue: list[Item] = []
         """What the other side is told next."""
@@ -256,7 +258,7 @@ class Exchange:
     ) -> None:
         """Work on a call of the other side, in a task."""
         self.tasks[number] = spawn(
-            asyncio.get_running_loop(),
+            self.loop,
             self.work(number, function, args, options or {}),
             name=f"{self.name} {verb}",
             owner=self.owner,
@@ -279,7 +281,7 @@ class Exchange:
             failed = error
         if self.tasks.pop(number, None) is not None:
             self.answer(number, value, failed)
-        self.owner.leave(current_task_of(asyncio.get_running_loop()))
+        self.owner.leave(current_task_of(self.loop))
 
     def cancel(self, number: int) -> None:
         """End the work on a call, whose end tells so."""
