@@ -21,7 +21,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from types import ModuleType
 from typing import Any, Final
 
-from esair.actions import Behavior, Reaction, adapt_action
+from esair.actions import Behavior, Reaction, adapt_action, in_loop
 from esair.codec import Kinds, declared, inner_of
 from esair.exceptions import BusyError, ConfigError, describe
 from esair.loop import NEVER, OwnedTasks, Owner, Portal, Stream, raisable
@@ -113,6 +113,7 @@ class Child(Exchange):
         self._wire = wire
         self.component: Any = None
         self.portal: Portal | None = None
+        self._of_threads: Portal
         self._news: dict[int, Callable[[Any], object]] = {}
         self.orders: dict[int, Callable[[], object]] = {}
         """What ends the work on a request, by its number."""
@@ -217,7 +218,8 @@ class Child(Exchange):
     def wait(self, verb: str, *args: Any, **options: Any) -> Any:
         """Call the robot, and wait without a turn: what it does is done when this returns."""
         if threading.get_ident() != self._thread:
-            return self.here(self.wait, verb, *args, **options)
+            call: Callable[..., Any] = self._of_threads.call
+            return call(in_loop, self.wait, verb, *args, **options)
         outcome: list[Any] = []
         number = self._call(lambda *end: outcome.extend(end), verb, args, options)
         goes_on = self.loop.passes != self._asked_at
@@ -241,20 +243,6 @@ class Child(Exchange):
             self.loop.call_soon_threadsafe(self.note, verb, *args)
             return
         self._call(lambda *_: None, verb, args, {})
-
-    def here(self, function: Callable[..., Any], *args: Any, **options: Any) -> Any:
-        """Call something in the loop, and wait for it in a thread."""
-        outcome: concurrent.futures.Future[Any] = concurrent.futures.Future()
-        context = contextvars.copy_context()
-
-        def run() -> None:
-            try:
-                outcome.set_result(context.run(function, *args, **options))
-            except BaseException as error:
-                outcome.set_exception(error)
-
-        self.loop.call_soon_threadsafe(run)
-        return outcome.result()
 
     def _call(
         self, end: End, verb: str, args: tuple[Any, ...], options: dict[str, Any]
@@ -321,6 +309,7 @@ class Child(Exchange):
     def _settle(self, given: dict[str, Any]) -> None:
         sys.path[:] = given["path"]
         self.name = given["name"]
+        self._of_threads = Portal(self.name, self.owner)
         self.owner.stream = Stream(given["stream"])
         self._stall = given["stall"]
         if given["memory"] is not None:

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import contextvars
 import inspect
-from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator, Iterator
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from esair import minimal
@@ -26,7 +26,7 @@ from esair.actions import (
     take_back,
     taken,
 )
-from esair.connections import Halting, Stopped
+from esair.connections import DONE, Halting, Stopped
 from esair.loop import Budget, Portal, Stepping, raisable, spawn
 from esair.messages import BehaviorStatus
 from esair.placement._wire import ASKED, AWAITED, CALLED
@@ -270,7 +270,7 @@ def _awaited(name: str) -> Any:
 def _called(name: str) -> Any:
     def call(self: RemotePort, *args: Any) -> Any:
         found = self._child.wait("peek", self._key, name, *args)
-        return Done() if name == "release" else found
+        return DONE if name == "release" else found
 
     return call
 
@@ -280,13 +280,6 @@ for _names, _made in ((AWAITED, _awaited), (CALLED, _called)):
         setattr(RemotePort, _name, _made(_name))
 for _name in ASKED:
     setattr(RemotePort, _name, property(_called(_name)))
-
-
-class Done:
-    """What is over: awaiting it only counts."""
-
-    def __await__(self) -> Generator[Any, None, None]:
-        return Budget.spend().__await__()
 
 
 class BlockingPort:

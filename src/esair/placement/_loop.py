@@ -6,12 +6,11 @@ has done and when it wants to go on, and waits for a message, which brings the t
 
 from __future__ import annotations
 
-import heapq
 import math
 import select
 from typing import TYPE_CHECKING, Any
 
-from esair.loop import NEVER, SECOND, TurnLoop
+from esair.loop import SECOND, TurnLoop
 
 if TYPE_CHECKING:
     from esair.placement._child import Child
@@ -63,7 +62,10 @@ class ChildLoop(TurnLoop):
             if not is_quiet:
                 if events := self._others(self._select(None)):
                     return events
-            elif self._turn.is_due(self._now) or (first := self._first()) <= self._now:
+            elif (
+                self._turn.is_due(self._now)
+                or (first := self.first_timer()) <= self._now
+            ):
                 break
             else:
                 return self._rest(max(min(first, self._turn.due / SECOND), self._now))
@@ -83,12 +85,3 @@ class ChildLoop(TurnLoop):
         self._now = max(self._now, self.home.hear())
         self._clock_resolution = max(1e-9, 2 * math.ulp(self._now))
         return events
-
-    def _first(self) -> float:
-        """Return when the first timer is due."""
-        scheduled = self._scheduled  # type: ignore[attr-defined]
-        while scheduled and scheduled[0]._cancelled:
-            heapq.heappop(scheduled)._scheduled = False
-            count = self._timer_cancelled_count  # type: ignore[has-type]
-            self._timer_cancelled_count = max(0, count - 1)
-        return float(scheduled[0]._when) if scheduled else NEVER

@@ -152,12 +152,12 @@ class Seat:
             serve=self._serve,
             died=self._died,
         )
-        stream = self._owner.stream
+        stream, is_virtual = self._owner.stream, turn_of(process.loop).virtual
         settled = {
             "path": list(sys.path),
             "name": self.name,
             "stream": None if stream is None else stream.seed,
-            "stall": self.placement.stall if turn_of(asyncio.get_running_loop()).virtual else None,
+            "stall": self.placement.stall if is_virtual else None,
             "memory": self.placement.memory,
             "nice": self.placement.nice,
             "level": logging.getLogger().getEffectiveLevel(),
@@ -351,7 +351,8 @@ class PlacedRunner(ReactionRunner):
         super().__init__(reaction, hooks, began=began, owner=owner)
         self._react = self._take
         self._taking: Job = self.scheduler.on_demand(self._decide, name=reaction.name)
-        self._late_at = Deadlines.of(asyncio.get_running_loop()).idle(self._owes_for_too_long)
+        deadlines = Deadlines.of(asyncio.get_running_loop())
+        self._late_at = deadlines.idle(self._owes_for_too_long)
 
     def start(self, inputs: Any, outputs: Any) -> None:
         self._seat.sit(self.owner)

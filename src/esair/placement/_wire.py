@@ -11,12 +11,11 @@ from __future__ import annotations
 import array
 import asyncio
 import contextlib
-import contextvars
 import fcntl
 import os
 import socket
 import struct
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, Final, NamedTuple
 
 from esair import messages
@@ -251,10 +250,10 @@ class Exchange:
         self,
         number: int,
         verb: str,
-        context: contextvars.Context,
-        function: Callable[..., Awaitable[Any]],
-        args: tuple[Any, ...],
-        options: dict[str, Any] | None,
+        context: Any,
+        function: Any,
+        args: Any,
+        options: Any,
     ) -> None:
         """Work on a call of the other side, in a task."""
         self.tasks[number] = spawn(
@@ -266,13 +265,7 @@ class Exchange:
             leaves=True,
         )
 
-    async def work(
-        self,
-        number: int,
-        function: Callable[..., Awaitable[Any]],
-        args: tuple[Any, ...],
-        options: dict[str, Any],
-    ) -> None:
+    async def work(self, number: int, function: Any, args: Any, options: Any) -> None:
         value: Any = None
         failed: BaseException | None = None
         try:
