@@ -12,6 +12,7 @@ import array
 import asyncio
 import contextlib
 import fcntl
+import inspect
 import os
 import socket
 import struct
@@ -278,8 +279,14 @@ class Exchange:
 
     def cancel(self, number: int) -> None:
         """End the work on a call, whose end tells so."""
-        if (task := self.tasks.get(number)) is not None:
-            task.cancel()
+        if (task := self.tasks.get(number)) is None:
+            return
+        task.cancel()
+        coroutine: Any = task.get_coro()
+        if inspect.getcoroutinestate(coroutine) == inspect.CORO_CREATED:
+            del self.tasks[number]  # it will not even begin, so this is its end
+            self.owner.leave(task)
+            self.answer(number, None, asyncio.CancelledError())
 
     def opened(self, item: Item) -> tuple[Any, BaseException | None]:
         """Return the value of an item, or the error that it is, or why it is none."""
