@@ -107,6 +107,7 @@ class Process(Exchange):
         self._lane = object()
         self._told_to_end: set[int] = set()
         self._is_empty = False  # nothing could be made in it
+        self._is_condemned = False
         self._work = 0  # the number that the door has given to what it works on
         self._idle = True
         self._ticks = 0
@@ -311,7 +312,7 @@ class Process(Exchange):
                     self.condemn("has sent what is no message")
             except Exception as failed:
                 self.condemn(f"has sent what is no value: {failed}")
-            if self.error is not None:
+            if self.error is not None or self._is_condemned:
                 return
         self._idle = True
         if self.queue or kind in {Op.TURN, Op.SYNC}:
@@ -362,7 +363,8 @@ class Process(Exchange):
 
     def condemn(self, how: str) -> None:
         """It cannot be used any more, whatever it does."""
-        if self.error is None:
+        if self.error is None and not self._is_condemned:
+            self._is_condemned = True
             self._signal(signal.SIGKILL)
             self._gone(f"{how}; it was killed", -signal.SIGKILL)
 
