@@ -218,8 +218,7 @@ class Child(Exchange):
     def wait(self, verb: str, *args: Any, **options: Any) -> Any:
         """Call the robot, and wait without a turn: what it does is done when this returns."""
         if threading.get_ident() != self._thread:
-            call: Callable[..., Any] = self._of_threads.call
-            return call(in_loop, self.wait, verb, *args, **options)
+            return self._of_threads.call(in_loop, self.wait, verb, *args, **options)
         outcome: list[Any] = []
         number = self._call(lambda *end: outcome.extend(end), verb, args, options)
         goes_on = self.loop.passes != self._asked_at
