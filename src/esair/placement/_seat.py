@@ -289,7 +289,12 @@ class Seat:
         except (TypeError, ValueError):
             scope = None
         # hot: a match statement takes seven times as long
-        if type(scope) is not int or type(busy) is not float or not busy >= 0.0:
+        if (
+            type(scope) is not int
+            or type(busy) is not float
+            or not busy >= 0.0
+            or (options is not None and type(options) is not dict)
+        ):
             process.condemn("has asked for what it cannot have")
             return
         context: contextvars.Context | None
