@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextvars
 import os
 import signal
 import socket
@@ -27,8 +28,9 @@ from tests.placement.parts import (
 from tests.placement.test_life import STOP, fake_wheels, lives, place, until
 
 import esair
-from esair.codec import CodecError
-from esair.placement._wire import PACKET, Item, Op, Wire
+from esair.codec import CodecError, Kinds
+from esair.loop import Owner
+from esair.placement._wire import PACKET, Exchange, Item, Op, Wire
 from esair.testing import FakeSensor
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.xdist_group("placement")]
@@ -356,3 +358,24 @@ def test_a_packet_that_is_cut_is_no_message() -> None:
     finally:
         wire.close()
         other.close()
+
+
+@pytest.mark.promise("PLC-1", "PLC-5")
+async def test_what_is_cancelled_before_it_has_begun_has_an_end() -> None:
+    """A call and its cancellation in one message: who waits is told, and nothing is left."""
+    loop, owner = asyncio.get_running_loop(), Owner()
+    side = Exchange("side", Kinds(), loop, owner)
+    begun: list[int] = []
+
+    async def begin() -> None:
+        begun.append(1)
+
+    side.begin(7, "run", contextvars.Context(), begin, (), None)
+    side.cancel(7)
+    await asyncio.sleep(0.01)
+    (told,) = side.message()
+    _, error = side.opened(told)
+    assert (told.op, told.number, begun) == (Op.FAIL, 7, [])
+    assert isinstance(error, asyncio.CancelledError)
+    assert not side.tasks
+    assert not owner.living()

@@ -125,10 +125,8 @@ class _Walk:
     """What is counted on the way through a value, in both directions."""
 
     __slots__ = ("items", "kinds")
-
-    def __init__(self, kinds: Kinds, limit: int) -> None:
-        self.kinds = kinds
-        self.items = min(limit // SMALLEST, ITEMS)
+    items: int
+    kinds: Kinds
 
     def count(self, items: int) -> None:
         self.items -= items
@@ -149,7 +147,8 @@ class _Writer(_Walk):
     __slots__ = ("classes", "errors", "limit", "out")
 
     def __init__(self, kinds: Kinds, limit: int) -> None:
-        super().__init__(kinds, limit)
+        self.kinds = kinds
+        self.items = min(limit // SMALLEST, ITEMS)
         self.limit = limit
         self.out = bytearray(VERSION)
         self.classes: dict[type, int] = {}
@@ -373,7 +372,8 @@ class _Reader(_Walk):
     __slots__ = ("classes", "data", "errors", "place")
 
     def __init__(self, data: bytes, kinds: Kinds, limit: int) -> None:
-        super().__init__(kinds, limit)
+        self.kinds = kinds
+        self.items = min(limit // SMALLEST, ITEMS)
         self.data = data
         self.place = 1
         self.classes: list[Defined] = []

@@ -56,6 +56,8 @@ class Form(enum.Enum):
     ENUM = b"e"
     ERROR = b"X"
 
+    __hash__ = object.__hash__  # hot: that of an enum is a call
+
 
 class Shape(NamedTuple):
     """How objects of a class are taken apart and made.

@@ -45,6 +45,7 @@ from esair.connections._gate import (
     run_ended,
 )
 from esair.connections._ports import (
+    DONE,
     ActuatorConnection,
     ActuatorPort,
     Control,
@@ -67,6 +68,7 @@ from esair.connections._values import CommandCheck, changed, limits_by_field, pa
 
 __all__ = [
     "BLIND",
+    "DONE",
     "HALT",
     "UNDECIDED",
     "ActuatorChannel",

@@ -12,7 +12,7 @@ from collections.abc import (
     Mapping,
 )
 from threading import get_ident
-from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, Final, Generic, NamedTuple, TypeVar
 
 from esair.abc import Connection
 from esair.connections._actuator_channel import ActuatorChannel
@@ -394,7 +394,7 @@ class ActuatorPort(Port[T]):
         """
         self._check_loop()
         self._channel.release(self.registration)
-        return _DONE
+        return DONE
 
     def why(self) -> Why:
         """Tell who holds the actuator, by which rule, and what would free it."""
@@ -413,7 +413,8 @@ class _Done:
         return Budget.spend().__await__()
 
 
-_DONE = _Done()
+DONE: Final = _Done()
+"""What a verb returns that is done when it returns, and that may be awaited."""
 
 
 class Ways(Connection, Generic[C]):

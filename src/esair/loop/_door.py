@@ -271,6 +271,8 @@ class Door(OfTurn):
         Args:
             works: Whether ends of works are ripe too; else only news are.
         """
+        if not self._brought:
+            return False  # what comes from now on wakes the loop
         with self._lock:
             # Before the look: what comes later wakes the loop again.
             self.wakes = False

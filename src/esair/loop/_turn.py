@@ -18,6 +18,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import functools
+import heapq
 import itertools
 import logging
 import math
@@ -343,6 +344,15 @@ class TurnLoop(asyncio.SelectorEventLoop):
         moment = When(when)
         moment.number = next(self._timers)
         return super().call_at(moment, callback, *args, context=context)
+
+    def first_timer(self) -> float:
+        """Return when the first timer of asyncio is due, in seconds."""
+        scheduled = self._scheduled  # type: ignore[attr-defined]
+        while scheduled and scheduled[0]._cancelled:  # noqa: SLF001 - as asyncio does
+            heapq.heappop(scheduled)._scheduled = False  # noqa: SLF001
+            count = self._timer_cancelled_count  # type: ignore[has-type]
+            self._timer_cancelled_count = max(0, count - 1)
+        return float(scheduled[0].when()) if scheduled else NEVER
 
     def set_debug(self, enabled: bool) -> None:
         """Begin or cease to look closer at what runs; slow callbacks are named."""

@@ -7,6 +7,7 @@ import concurrent.futures
 import contextlib
 import contextvars
 import faulthandler
+import functools
 import importlib.util
 import inspect
 import json
@@ -21,10 +22,10 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from types import ModuleType
 from typing import Any, Final
 
-from esair.actions import Behavior, Reaction, adapt_action
+from esair.actions import Behavior, Reaction, adapt_action, in_loop
 from esair.codec import Kinds, declared, inner_of
 from esair.exceptions import BusyError, ConfigError, describe
-from esair.loop import NEVER, OwnedTasks, Owner, Portal, Stream, raisable, spawn
+from esair.loop import NEVER, OwnedTasks, Owner, Portal, Stream, raisable
 from esair.placement._home import Order, Reacting, fill, scope
 from esair.placement._loop import ChildLoop
 from esair.placement._verbs import SCRIPT_OF_CHILD
@@ -108,12 +109,12 @@ class Child(Exchange):
     """One component, and its way to the robot."""
 
     def __init__(self, wire: Wire) -> None:
-        super().__init__("", _KINDS)
+        super().__init__("", _KINDS, ChildLoop(wire.fileno()), Owner())
+        self.loop.home = self
         self._wire = wire
-        self._own = Owner()
-        self.owner: Owner | None = self._own
         self.component: Any = None
         self.portal: Portal | None = None
+        self._of_threads: Portal
         self._news: dict[int, Callable[[Any], object]] = {}
         self.orders: dict[int, Callable[[], object]] = {}
         """What ends the work on a request, by its number."""
@@ -137,14 +138,10 @@ class Child(Exchange):
             "apply": self._apply,
         }
         self._thread = threading.get_ident()
-        self.loop = ChildLoop(self)
         asyncio.set_event_loop(self.loop)
         OwnedTasks.of(self.loop).install()
 
     # What the loop asks.
-
-    def fileno(self) -> int:
-        return self._wire.fileno()
 
     def idle(self, wake: float) -> None:
         """Say that nothing is ready, and when to go on."""
@@ -158,7 +155,6 @@ class Child(Exchange):
 
     def _is_still(self) -> bool:
         """Tell whether each of its tasks waits for the end of a call."""
-        assert self.owner is not None
         ends = [getattr(each, "_fut_waiter", None) for each in self.owner.living()]
         waits = sum(isinstance(each, Outcome) for each in ends)
         # A task that carries threads does nothing but wait for them.
@@ -209,8 +205,10 @@ class Child(Exchange):
 
     def call(self, verb: str, *args: Any, **options: Any) -> asyncio.Future[Any]:
         """Call the robot; awaiting waits for the end."""
-        outcome = Outcome(self, loop=self.loop)
-        outcome.number = self._call(settle(outcome), verb, args, options)
+        outcome = Outcome(loop=self.loop)
+        outcome.child = self
+        end = functools.partial(settle, outcome)
+        outcome.number = self._call(end, verb, args, options)
         if verb in _OF_OTHERS:
             self._of_others.add(outcome.number)
         return outcome
@@ -221,7 +219,7 @@ class Child(Exchange):
     def wait(self, verb: str, *args: Any, **options: Any) -> Any:
         """Call the robot, and wait without a turn: what it does is done when this returns."""
         if threading.get_ident() != self._thread:
-            return self.here(self.wait, verb, *args, **options)
+            return self._of_threads.call(in_loop, self.wait, verb, *args, **options)
         outcome: list[Any] = []
         number = self._call(lambda *end: outcome.extend(end), verb, args, options)
         goes_on = self.loop.passes != self._asked_at
@@ -245,20 +243,6 @@ class Child(Exchange):
             self.loop.call_soon_threadsafe(self.note, verb, *args)
             return
         self._call(lambda *_: None, verb, args, {})
-
-    def here(self, function: Callable[..., Any], *args: Any, **options: Any) -> Any:
-        """Call something in the loop, and wait for it in a thread."""
-        outcome: concurrent.futures.Future[Any] = concurrent.futures.Future()
-        context = contextvars.copy_context()
-
-        def run() -> None:
-            try:
-                outcome.set_result(context.run(function, *args, **options))
-            except BaseException as error:
-                outcome.set_exception(error)
-
-        self.loop.call_soon_threadsafe(run)
-        return outcome.result()
 
     def _call(
         self, end: End, verb: str, args: tuple[Any, ...], options: dict[str, Any]
@@ -296,14 +280,7 @@ class Child(Exchange):
             return
         context = contextvars.copy_context()
         context.run(scope.set, number)
-        self.tasks[number] = spawn(
-            self.loop,
-            self.work(number, method, *args, **options or {}),
-            name=f"{self.name} {verb}",
-            owner=self.owner,
-            context=context,
-            leaves=True,
-        )
+        self.begin(number, verb, context, method, args, options)
 
     def _method(self, verb: str) -> Callable[..., Any]:
         if verb in self._own_verbs:
@@ -318,7 +295,7 @@ class Child(Exchange):
     def _in_thread(self, verb: str, function: Callable[..., Any]) -> Callable[..., Any]:
         portal = self.portal
         if portal is None or verb not in {"setup", "run", "teardown"}:
-            portal = Portal(f"{self.name}_{verb}", self._own)
+            portal = Portal(f"{self.name}_{verb}", self.owner)
 
         async def run(*args: Any) -> Any:
             result: list[Any] = []
@@ -332,7 +309,8 @@ class Child(Exchange):
     def _settle(self, given: dict[str, Any]) -> None:
         sys.path[:] = given["path"]
         self.name = given["name"]
-        self._own.stream = Stream(given["stream"])
+        self._of_threads = Portal(self.name, self.owner)
+        self.owner.stream = Stream(given["stream"])
         self._stall = given["stall"]
         if given["memory"] is not None:
             import resource
@@ -353,7 +331,7 @@ class Child(Exchange):
         self.component = made
         if isinstance(made, Behavior):
             if not inspect.iscoroutinefunction(made.run):
-                self.portal = Portal(self.name, self._own)
+                self.portal = Portal(self.name, self.owner)
             fill(self, made, self.portal)
         elif isinstance(made, Reaction):
             self.reacting[0] = Reacting(self, made)
@@ -398,14 +376,12 @@ class Child(Exchange):
 class Outcome(asyncio.Future[Any]):
     """The end of a call of the robot; who cancels it cancels that."""
 
-    def __init__(self, child: Child, *, loop: ChildLoop) -> None:
-        super().__init__(loop=loop)
-        self._child = child
-        self.number = 0
+    child: Child
+    number: int
 
     def cancel(self, msg: Any | None = None) -> bool:
-        if self._child.calls.pop(self.number, None) is not None:
-            self._child.tell(Op.CANCEL, self.number)
+        if self.child.calls.pop(self.number, None) is not None:
+            self.child.tell(Op.CANCEL, self.number)
         return super().cancel(msg)
 
 

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import contextvars
 import inspect
-from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator, Iterator
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from esair import minimal
@@ -26,9 +26,10 @@ from esair.actions import (
     take_back,
     taken,
 )
-from esair.connections import Halting, Stopped
+from esair.connections import DONE, Halting, Stopped
 from esair.loop import Budget, Portal, Stepping, raisable, spawn
 from esair.messages import BehaviorStatus
+from esair.placement._wire import ASKED, AWAITED, CALLED
 from esair.plan import in_use, refuse, used_already
 
 if TYPE_CHECKING:
@@ -38,9 +39,6 @@ scope: contextvars.ContextVar[int] = contextvars.ContextVar("esair_scope", defau
 """For which call of the robot the code that runs now works."""
 
 _ACTIONS = (Action, minimal.Reaction)
-_AWAITED = {"read", "reading", "write", "configure", "operate"}
-_CALLED = {"history", "why", "release"}
-_ASKED = {"newest", "settings", "state", "max_age"}
 
 
 class Host:
@@ -114,7 +112,6 @@ class Host:
             refuse([used_already(behavior)], "")
         portal = None
         if not inspect.iscoroutinefunction(behavior.run):
-            assert child.owner is not None
             portal = Portal(child.name, child.owner)
         over = child.call("step", child.recipe(behavior))
         number, granted = child.newest, child.loop.create_future()
@@ -128,7 +125,6 @@ class Host:
             return over.result()
         host = fill(child, behavior, portal, str(number))
         try:
-            assert child.owner is not None
             return await run_as_step(
                 *(behavior, child.name, portal, child.owner, timeout),
                 lambda: child.wait("stage", number),
@@ -251,25 +247,6 @@ class RemotePort:
         self._key = key
         self.resource = resource
 
-    def __getattr__(self, name: str) -> Any:
-        child, key = self._child, self._key
-        if name in _AWAITED:
-
-            async def wait(*args: Any, **options: Any) -> Any:
-                return await child.call("port", key, name, *args, **options)
-
-            return wait
-        if name in _CALLED:
-
-            def call(*args: Any) -> Any:
-                found = child.wait("peek", key, name, *args)
-                return Done() if name == "release" else found
-
-            return call
-        if name in _ASKED:
-            return child.wait("peek", key, name)
-        raise AttributeError(name)
-
     def __aiter__(self) -> AsyncIterator[Any]:
         return self._values()
 
@@ -283,11 +260,26 @@ class RemotePort:
             child.note("left", number)
 
 
-class Done:
-    """What is over: awaiting it only counts."""
+def _awaited(name: str) -> Any:
+    async def call(self: RemotePort, *args: Any, **options: Any) -> Any:
+        return await self._child.call("port", self._key, name, *args, **options)
 
-    def __await__(self) -> Generator[Any, None, None]:
-        return Budget.spend().__await__()
+    return call
+
+
+def _called(name: str) -> Any:
+    def call(self: RemotePort, *args: Any) -> Any:
+        found = self._child.wait("peek", self._key, name, *args)
+        return DONE if name == "release" else found
+
+    return call
+
+
+for _names, _made in ((AWAITED, _awaited), (CALLED, _called)):
+    for _name in _names:
+        setattr(RemotePort, _name, _made(_name))
+for _name in ASKED:
+    setattr(RemotePort, _name, property(_called(_name)))
 
 
 class BlockingPort:
@@ -299,7 +291,7 @@ class BlockingPort:
 
     def __getattr__(self, name: str) -> Any:
         port, call = self._port, self._portal.call
-        if name in _AWAITED | _CALLED:
+        if name in AWAITED | CALLED:
             return lambda *args, **options: call(
                 in_loop, lambda: getattr(port, name)(*args, **options)
             )

@@ -6,32 +6,37 @@ has done and when it wants to go on, and waits for a message, which brings the t
 
 from __future__ import annotations
 
-import heapq
 import math
 import select
 from typing import TYPE_CHECKING, Any
 
-from esair.loop import NEVER, SECOND, TurnLoop
+from esair.loop import SECOND, TurnLoop
 
 if TYPE_CHECKING:
     from esair.placement._child import Child
 
 
 class ChildLoop(TurnLoop):
-    """The event loop of a child; `home` is the way to the robot."""
+    """The event loop of a child.
+
+    Args:
+        robot: The file on which the robot is heard; `home` hears it.
+    """
 
     virtual = True
 
-    def __init__(self, home: Child) -> None:
+    home: Child
+
+    def __init__(self, robot: int) -> None:
         self._now = 0.0
         self.passes = 0
         """How often it has gone on to what is ready."""
         super().__init__()
-        self._home = home
-        self._is_told = False
-        self.listen(home.fileno(), self._told)
+        self._robot = robot
+        self._files: Any = self._selector._fd_to_key  # type: ignore[attr-defined]  # hot
         self._waits = select.poll()
-        self._waits.register(home.fileno(), select.POLLIN)
+        for each in (robot, self._selector.fileno()):  # type: ignore[attr-defined]
+            self._waits.register(each, select.POLLIN)
 
     def clock(self) -> float:
         return self._now
@@ -49,7 +54,7 @@ class ChildLoop(TurnLoop):
     def _work_off(self) -> Any:
         """Let go on what is ready, else threads, else what is due, else the robot."""
         ready, door = self._ready, self._turn.door  # type: ignore[attr-defined]
-        while not (ready or self._stopping or door.has_news):  # type: ignore[attr-defined]
+        while not (ready or self._stopping or door.entries):  # type: ignore[attr-defined]
             door.let_go()
             is_quiet = door.at_work == 0  # once: a thread may end at any moment
             if door.ripen(works=is_quiet):
@@ -57,37 +62,26 @@ class ChildLoop(TurnLoop):
             if not is_quiet:
                 if events := self._others(self._select(None)):
                     return events
-            elif self._turn.is_due(self._now) or self._first() <= self._now:
+            elif (
+                self._turn.is_due(self._now)
+                or (first := self.first_timer()) <= self._now
+            ):
                 break
             else:
-                return self._rest()
-        return self._others(self._select(0.0))
+                return self._rest(max(min(first, self._turn.due / SECOND), self._now))
+        # What threads have called for is ready without the bell, its one file.
+        return self._others(self._select(0.0)) if len(self._files) > 1 else ()
 
-    def _rest(self) -> Any:
+    def _rest(self, wake: float) -> Any:
         """Be idle until the robot says something; it also says what time it is."""
-        wake = min(self._first(), self._turn.due / SECOND)
-        self._home.idle(max(wake, self._now))
-        self._is_told = False
-        while True:  # a thread that has ended its work may ring late
-            events = self._others(self._select(None))
-            if self._is_told:
-                break
+        self.home.idle(wake)
+        events: Any = ()
+        while self._robot not in dict(self._waits.poll()):
+            events = self._others(self._select(0.0))
+            # A thread that has ended its work may ring late.
             if events or self._ready or self._turn.door.ripen(works=True):  # type: ignore[attr-defined]
-                self._home.tick()  # something of its own: it has to know when that is
-                self._waits.poll()
+                self.home.tick()  # something of its own: it has to know when that is
                 break
-        self._now = max(self._now, self._home.hear())
+        self._now = max(self._now, self.home.hear())
         self._clock_resolution = max(1e-9, 2 * math.ulp(self._now))
         return events
-
-    def _first(self) -> float:
-        """Return when the first timer is due."""
-        scheduled = self._scheduled  # type: ignore[attr-defined]
-        while scheduled and scheduled[0]._cancelled:
-            heapq.heappop(scheduled)._scheduled = False
-            count = self._timer_cancelled_count  # type: ignore[has-type]
-            self._timer_cancelled_count = max(0, count - 1)
-        return float(scheduled[0]._when) if scheduled else NEVER
-
-    def _told(self) -> None:
-        self._is_told = True

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import contextvars
+import functools
 import json
 import logging
 import os
@@ -24,10 +25,12 @@ from esair.codec import CodecError, Kinds
 from esair.exceptions import ProcessDiedError, printable
 from esair.loop import (
     NEVER,
+    REACHED,
     Deadlines,
     Door,
     First,
     OneShot,
+    Owner,
     Player,
     Scheduler,
     clock_of,
@@ -68,6 +71,7 @@ class Process(Exchange):
         kinds: The classes that may cross.
         placement: How it is limited.
         nursery: Where it comes from.
+        owner: Who owns what is done here for the child.
         repeats: Whether it runs in a replay, too; what drivers give comes from the tape.
         serve: Called with each call of the child: its number, verb and arguments.
         died: Called with the error, once, if it ends before it is closed.
@@ -79,12 +83,13 @@ class Process(Exchange):
         kinds: Kinds,
         placement: Placement,
         nursery: Nursery,
+        owner: Owner,
         *,
         repeats: bool,
         serve: Callable[[int, str, Any], object],
         died: Callable[[ProcessDiedError], object],
     ) -> None:
-        super().__init__(name, kinds)
+        super().__init__(name, kinds, asyncio.get_running_loop(), owner)
         self.pid: int | None = None
         self.error: ProcessDiedError | None = None
         """Why it is gone; None while it lives."""
@@ -92,15 +97,17 @@ class Process(Exchange):
         """For whom the child works, by the number of the call that it works for."""
         self.is_still: bool = False
         """Whether nothing in it goes on before one of its calls ends."""
-        self._sent = 0.0  # when the message was sent that it works on
+        self.sent = 0.0
+        """When the message was sent that it works on."""
         self._serve, self._died = serve, died
-        self._loop = loop = asyncio.get_running_loop()
+        loop = self.loop
         self._time = clock_of(loop)
         self._door = Door.of(loop)
         self._tag = ("thread" if repeats else "driver", name)
         self._lane = object()
         self._told_to_end: set[int] = set()
         self._is_empty = False  # nothing could be made in it
+        self._is_condemned = False
         self._work = 0  # the number that the door has given to what it works on
         self._idle = True
         self._ticks = 0
@@ -108,6 +115,8 @@ class Process(Exchange):
         self._wanted: float | None = None
         self._pidfd = -1
         self._stall = placement.stall
+        self._hangs_at = NEVER
+        """When what works since is a hang; a reply to what it waits for is no new time."""
         self._hang = Deadlines.beside(loop).idle(self._hung)
         ends = nursery.child()
         self._wire = Wire(ends.wire)
@@ -146,15 +155,15 @@ class Process(Exchange):
         Who is cancelled here cancels it there, and waits for what it does then; who is
         cancelled again does not.
         """
-        waiter: asyncio.Future[Any] = self._loop.create_future()
-        number = self.call(verb, args, settle(waiter), **options)
+        waiter: asyncio.Future[Any] = self.loop.create_future()
+        number = self.call(verb, args, functools.partial(settle, waiter), **options)
         try:
             return await waiter
         except asyncio.CancelledError:
             if number not in self.calls:
                 raise
-            waiter = self._loop.create_future()
-            self.calls[number] = settle(waiter)
+            waiter = self.loop.create_future()
+            self.calls[number] = functools.partial(settle, waiter)
             self._told_to_end.add(number)
             self.tell(Op.CANCEL, number)
             try:
@@ -179,10 +188,6 @@ class Process(Exchange):
         for end in calls.values():
             end(None, error)
 
-    def lateness(self, busy: float) -> float:
-        """Return how long ago the child has done what takes effect now, in seconds."""
-        return self._time() - self._sent - busy
-
     @property
     def is_well(self) -> bool:
         """Whether it lives, and has ended what it was told to end."""
@@ -202,21 +207,27 @@ class Process(Exchange):
     def _send(self) -> None:
         if self._idle and self.error is None:
             self._idle = False
-            self._forget_wake()
+            if self._wake is not None:
+                self._forget_wake()
             self._door.give_out(self._begin, self._lane)  # type: ignore[arg-type]
 
     def _begin(self, work: int) -> None:
         self._work, self._ticks = work, 0
         self.is_still = False
-        self._sent = now = self._time()
+        self.sent = now = self._time()
         if self._wanted is not None and self._wanted - now < 1e-6:
             now = max(now, self._wanted)  # a timer may ring a hair early
-        self._hang.start_by(self._sent + (self._stall if self.pid else START))
+        if self._hangs_at == NEVER:
+            self._hangs_at = self.sent + (self._stall if self.pid else START)
+            if self._hang.when == NEVER:
+                self._hang.start(self._hangs_at)
         if self.error is not None:  # it has died meanwhile
             self._end_work()
             return
-        with contextlib.suppress(OSError):  # it is gone: its status tells more
+        try:
             self._wire.send(Op.GO, now, self.message())
+        except OSError:
+            return  # it is gone: its status tells more
 
     def _readable(self) -> None:
         try:
@@ -229,7 +240,7 @@ class Process(Exchange):
             self.condemn(f"has sent what is no message: {error}")
             return
         if message is None:
-            turn_of(self._loop).forget(self._wire.fileno())
+            turn_of(self.loop).forget(self._wire.fileno())
             return  # its status tells more
         self._arrived(*message)
 
@@ -251,7 +262,7 @@ class Process(Exchange):
         elif kind in _ENDS and self._work and wake > -NEVER:
             args = self._work, kind, wake, items
             self._work = 0
-            if sum(len(each.data) for each in items) <= LARGE:
+            if self._wire.size <= LARGE:
                 self._open(*args)
             else:  # the loop goes on meanwhile
                 threading.Thread(target=self._open, args=args, daemon=True).start()
@@ -259,7 +270,9 @@ class Process(Exchange):
         self.condemn("has spoken out of turn")
 
     def _open(self, work: int, kind: bytes, wake: float, items: list[Item]) -> None:
-        opened = [(each, *self.opened(each)) for each in items]
+        opened = []
+        for each in items:
+            opened.append((each, *self.opened(each)))  # noqa: PERF401 - one call less
         self._door.post(work, self._tag, self._came, kind, wake, opened)
 
     def _ticked(self) -> None:
@@ -281,21 +294,32 @@ class Process(Exchange):
         if self.error is not None:
             return
         if kind != Op.SYNC:  # else its loop does not go on: it may ask for ever
-            self._hang.cancel()
+            self._hangs_at = NEVER
         self.is_still = kind == Op.STILL
-        for each in items:
+        for (op, number, verb, _), value, error in items:
             try:
-                self._apply(*each)
-            except Exception as error:
-                self.condemn(f"has sent what is no value: {error}")
-            if self.error is not None:
+                if op == Op.CALL and error is None:
+                    self._serve(number, verb, value)
+                elif op == Op.CALL:
+                    self.answer(number, None, error)
+                elif op == Op.CANCEL:
+                    self.cancel(number)
+                elif op in {Op.DONE, Op.FAIL}:
+                    self._told_to_end.discard(number)
+                    self.scopes.pop(number, None)
+                    self.ended(number, value, error)
+                else:
+                    self.condemn("has sent what is no message")
+            except Exception as failed:
+                self.condemn(f"has sent what is no value: {failed}")
+            if self.error is not None or self._is_condemned:
                 return
         self._idle = True
         if self.queue or kind in {Op.TURN, Op.SYNC}:
             self._send()
         elif wake < NEVER:
             self._wanted = wake
-            self._wake = Scheduler.of(self._loop).at(wake, self._woken)
+            self._wake = Scheduler.of(self.loop).at(wake, self._woken)
 
     def _woken(self, _now: float) -> None:
         self._wake = None
@@ -303,23 +327,8 @@ class Process(Exchange):
 
     def _forget_wake(self) -> None:
         if self._wake is not None:
-            Scheduler.of(self._loop).cancel(self._wake)
+            Scheduler.of(self.loop).cancel(self._wake)
             self._wake = None
-
-    def _apply(self, item: Item, value: Any, error: BaseException | None) -> None:
-        op, number, verb, _ = item
-        if op == Op.CALL and error is None:
-            self._serve(number, verb, value)
-        elif op == Op.CALL:
-            self.answer(number, None, error)
-        elif op == Op.CANCEL:
-            self.cancel(number)
-        elif op in {Op.DONE, Op.FAIL}:
-            self._told_to_end.discard(number)
-            self.scopes.pop(number, None)
-            self.ended(number, value, error)
-        else:
-            self.condemn("has sent what is no message")
 
     # Its end.
 
@@ -334,7 +343,8 @@ class Process(Exchange):
         if what == b"pid":
             self.pid, self._pidfd = int(rest), files[0]
             if self._work:  # its time begins when it is there
-                self._hang.start(self._time() + self._stall)
+                self._hangs_at = self._time() + self._stall
+                self._hang.start(self._hangs_at)
             return
         self._readable()  # what it has done before
         code = int(rest) if what == b"over" else None
@@ -343,14 +353,18 @@ class Process(Exchange):
 
     def _hung(self) -> None:
         """It is silent, and not idle."""
-        if self._idle or self.error is not None:
+        if self._hangs_at == NEVER or self.error is not None:
+            return  # it is idle: it is looked at again when it works
+        if self._hangs_at - self._time() > REACHED:  # that was an earlier work
+            self._hang.start(self._hangs_at)
             return
         self._signal(signal.SIGUSR1)  # says where it is
-        self._loop.call_later(STACK, self.condemn, f"hung for {self._stall:g} s")
+        self.loop.call_later(STACK, self.condemn, f"hung for {self._stall:g} s")
 
     def condemn(self, how: str) -> None:
         """It cannot be used any more, whatever it does."""
-        if self.error is None:
+        if self.error is None and not self._is_condemned:
+            self._is_condemned = True
             self._signal(signal.SIGKILL)
             self._gone(f"{how}; it was killed", -signal.SIGKILL)
 
@@ -415,7 +429,7 @@ class Process(Exchange):
         for task in tuple(self.tasks.values()):
             task.cancel()
         self.tasks.clear()
-        loop = self._loop
+        loop = self.loop
         if not loop.is_closed():
             turn_of(loop).forget(self._wire.fileno())
             loop.remove_reader(self._status.fileno())

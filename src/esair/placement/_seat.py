@@ -101,15 +101,10 @@ class Seat:
         self.process: Process | None = None
         self._recipe = recipe_of(component)  # now: later it knows its robot
         self._seats = seats
-        self._owner: Owner | None = None
+        self._owner = Owner()
         self._before: dict[str, Any] = {}
         self._on_death: Callable[[ProcessDiedError], object] | None = None
         self._verbs: Verbs
-
-    @property
-    def loop(self) -> asyncio.AbstractEventLoop:
-        """The robot's."""
-        return asyncio.get_running_loop()
 
     @property
     def pid(self) -> int | None:
@@ -118,7 +113,7 @@ class Seat:
     def sit(self, owner: Owner | None = None) -> None:
         """Let the component's methods go to a child, which begins with the first."""
         self.end()
-        self._owner = owner
+        self._owner = owner or Owner()
         component = self.component
         if isinstance(component, Behavior):
             methods = ["run", *(["provide"] if component.provides else [])]
@@ -164,16 +159,17 @@ class Seat:
             self._seats.kinds,
             self.placement,
             self._seats.nursery,
+            self._owner,
             repeats=isinstance(self.component, Behavior | Reaction),
             serve=self._serve,
             died=self._died,
         )
-        stream = None if self._owner is None else self._owner.stream
+        stream, is_virtual = self._owner.stream, turn_of(process.loop).virtual
         settled = {
             "path": list(sys.path),
             "name": self.name,
             "stream": None if stream is None else stream.seed,
-            "stall": self.placement.stall if turn_of(self.loop).virtual else None,
+            "stall": self.placement.stall if is_virtual else None,
             "memory": self.placement.memory,
             "nice": self.placement.nice,
             "level": logging.getLogger().getEffectiveLevel(),
@@ -200,7 +196,8 @@ class Seat:
     def spawn(self, coroutine: Coroutine[Any, Any, None], name: str) -> object:
         """Do something in the name of the component."""
         called = f"{self.name} {name}"
-        return spawn(self.loop, coroutine, name=called, owner=self._owner)
+        loop = asyncio.get_running_loop()
+        return spawn(loop, coroutine, name=called, owner=self._owner)
 
     def keep_scope(self) -> int:
         """Keep for whom the code that runs now works; return its number."""
@@ -297,42 +294,39 @@ class Seat:
     # What the child asks for.
 
     def _serve(self, number: int, verb: str, given: Any) -> None:
-        process = self.lives
-        match given:
-            case (int(scope), float(busy), None | dict() as options, *args) if (
-                busy >= 0.0
-            ):
-                pass
-            case _:
-                process.condemn("has asked for what it cannot have")
-                return
+        process = self.process
+        assert process is not None
+        try:
+            scope, busy, options, *args = given
+        except (TypeError, ValueError):
+            scope = None
+        # hot: a match statement takes seven times as long
+        if (
+            type(scope) is not int
+            or type(busy) is not float
+            or not busy >= 0.0
+            or (options is not None and type(options) is not dict)
+        ):
+            process.condemn("has asked for what it cannot have")
+            return
         context: contextvars.Context | None
         context = process.scopes.get(scope, _NOBODY).copy()
         if plain := self._verbs.plain.get(verb):
-            value: Any = None
-            failed: BaseException | None = None
             try:
                 value = context.run(plain, *args, **options or {})
             except Exception as error:
-                failed = error
-            process.answer(number, value, failed)
+                process.answer(number, None, error)
+            else:
+                process.answer(number, value, None)
             return
-        waits = self._verbs.waits.get(verb)
+        waits, tasks = self._verbs.waits.get(verb), process.tasks
         if verb == "next order":  # what it asks for next it does for that
             context = process.scopes.get(args[0]) if args else None
-        tasks = process.tasks
         if waits is None or context is None or number in tasks or len(tasks) >= CALLS:
             process.condemn("has asked for what it cannot have")
             return
-        asked = Asked(number, process.lateness(busy))
-        tasks[number] = spawn(
-            self.loop,
-            process.work(number, waits, asked, *args, **options or {}),
-            name=f"{self.name} {verb}",
-            owner=self._owner,
-            context=context,
-            leaves=True,
-        )
+        asked = Asked(number, process.sent + busy)
+        process.begin(number, verb, context, waits, (asked, *args), options)
 
     def _died(self, error: ProcessDiedError) -> None:
         if self._on_death is not None:
@@ -374,7 +368,8 @@ class PlacedRunner(ReactionRunner):
         super().__init__(reaction, hooks, began=began, owner=owner)
         self._react = self._take
         self._taking: Job = self.scheduler.on_demand(self._decide, name=reaction.name)
-        self._late_at = Deadlines.of(seat.loop).idle(self._owes_for_too_long)
+        deadlines = Deadlines.of(asyncio.get_running_loop())
+        self._late_at = deadlines.idle(self._owes_for_too_long)
 
     def start(self, inputs: Any, outputs: Any) -> None:
         self._seat.sit(self.owner)

@@ -13,7 +13,7 @@ from esair.actions import Behavior, Reaction, adapt_action
 from esair.exceptions import AccessDeniedError, ConfigError
 from esair.loop import clock_of, wake
 from esair.messages import Access, Refused
-from esair.placement._wire import End, Op, make
+from esair.placement._wire import ASKED, AWAITED, CALLED, End, Op, make
 from esair.plan import SCRIPT
 from esair.values import check_duration
 
@@ -23,8 +23,6 @@ SCRIPT_OF_CHILD: Final = "__mp_main__"
 """What the script is in a child, as `multiprocessing` calls it."""
 
 _ACTIONS = (Behavior, Reaction, minimal.Reaction)
-_PORT_WAITS = {"read", "reading", "write", "configure", "operate"}
-_PORT_PLAIN = {"history", "why", "release", "newest", "settings", "state", "max_age"}
 _MANAGED = {"add", "remove", "replace", "restart", "switch"}
 _ORDER = {"answer", "refuse", "progress", "cancelled"}
 
@@ -34,11 +32,11 @@ class Asked(NamedTuple):
 
     Attributes:
         number: Its number, for what is told of it before its end.
-        age: How long ago the child has made it, in seconds.
+        made: When the child has made it.
     """
 
     number: int
-    age: float
+    made: float
 
 
 def loaded(recipe: Any) -> Any:
@@ -75,10 +73,6 @@ class StepSeat:
         self._seat = seat
         self._number = number
         self._over = False
-
-    @property
-    def loop(self) -> asyncio.AbstractEventLoop:
-        return asyncio.get_running_loop()
 
     def sit(self, owner: object) -> None:
         """It begins, ends and dies with the behavior."""
@@ -149,7 +143,7 @@ class PortVerbs(Verbs):
         return port
 
     def _peek(self, key: str, name: str, *args: Any) -> Any:
-        found = getattr(self._find(key, name, _PORT_PLAIN), name)
+        found = getattr(self._find(key, name, CALLED | ASKED), name)
         if name == "release":
             found()
             return None
@@ -213,12 +207,13 @@ class BehaviorVerbs(PortVerbs):
     async def _port(
         self, asked: Asked, key: str, name: str, *args: Any, **options: Any
     ) -> Any:
-        port = self._find(key, name, _PORT_WAITS)
+        port = self._find(key, name, AWAITED)
         if name == "write":
             limit = self._seat.command_timeout(port.resource)
-            if limit is not None and asked.age > limit:
-                now = clock_of(asyncio.get_running_loop())()
-                rule = f"the command is {asked.age:.3g} s old: command_timeout is {limit:g} s"
+            now = clock_of(asyncio.get_running_loop())()
+            age = now - asked.made
+            if limit is not None and age > limit:
+                rule = f"the command is {age:.3g} s old: command_timeout is {limit:g} s"
                 priority = port.registration.priority
                 return Refused(self._behavior.name, priority, rule, now, None)
         return await getattr(port, name)(*args, **options)
@@ -295,7 +290,7 @@ class BehaviorVerbs(PortVerbs):
 
     async def _values(self, _: Asked, key: str) -> int:
         number = self._next()
-        self._streams[number] = aiter(self._find(key, "reading", _PORT_WAITS))
+        self._streams[number] = aiter(self._find(key, "reading", AWAITED))
         return number
 
     async def _close_values(self, _: Asked, number: int) -> None:

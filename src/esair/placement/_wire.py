@@ -12,10 +12,11 @@ import array
 import asyncio
 import contextlib
 import fcntl
+import inspect
 import os
 import socket
 import struct
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, Final, NamedTuple
 
 from esair import messages
@@ -28,7 +29,7 @@ from esair.exceptions import (
     describe,
     told_traceback,
 )
-from esair.loop import current_owner, raisable
+from esair.loop import Owner, current_task_of, raisable, spawn
 
 CALLS: Final = 64
 """How many calls of one side may be in flight."""
@@ -68,10 +69,17 @@ class Op:
     GO, IDLE, STILL, TURN, SYNC, TICK = b"g", b"i", b"q", b"t", b"s", b"k"
 
 
+AWAITED: Final = {"read", "reading", "write", "configure", "operate"}
+CALLED: Final = {"history", "why", "release"}
+ASKED: Final = {"newest", "settings", "state", "max_age"}
+"""What of a port in the robot is there in a child, too; some of it is awaited there."""
+
 _FILE: Final = b"\0"
 _HEAD: Final = struct.Struct("<cd")
 _ITEM: Final = struct.Struct("<cqHI")
 _FILES: Final = socket.CMSG_SPACE(4 * 4)
+_CUT: Final = int(socket.MSG_TRUNC)  # hot
+_new = tuple.__new__  # hot
 
 End = Callable[[Any, BaseException | None], object]
 """What is called with the value or the error of a call."""
@@ -98,6 +106,8 @@ class Wire:
 
     def __init__(self, end: socket.socket) -> None:
         self._end = end
+        self.size = 0
+        """How many bytes the message had that came last."""
 
     def fileno(self) -> int:
         return self._end.fileno()
@@ -144,20 +154,20 @@ class Wire:
             data = _contents(data, beside)
         if not data:
             return None
-        if flags & socket.MSG_TRUNC:
+        if flags & _CUT:
             raise CodecError("it is no message")
         try:
             kind, moment = _HEAD.unpack_from(data)
             items: list[Item] = []
             place, end = _HEAD.size, len(data)
+            self.size = end
             while place < end and len(items) <= ITEMS:
                 op, number, name, size = _ITEM.unpack_from(data, place)
                 verb = place + _ITEM.size
                 value = verb + name
                 place = value + size
-                items.append(
-                    Item(op, number, data[verb:value].decode(), data[value:place])
-                )
+                told = op, number, data[verb:value].decode(), data[value:place]
+                items.append(_new(Item, told))
         except (struct.error, UnicodeDecodeError):
             raise CodecError("it is no message") from None
         if place != end or len(items) > ITEMS:
@@ -189,11 +199,15 @@ class Exchange:
     Args:
         name: Of the component, for errors.
         kinds: The classes that may cross.
+        loop: Where it works.
+        owner: Of the tasks in which it works on calls of the other side.
     """
 
-    def __init__(self, name: str, kinds: Kinds) -> None:
+    def __init__(self, name: str, kinds: Kinds, loop: Any, owner: Owner) -> None:
         self.name = name
         self.kinds = kinds
+        self.loop = loop
+        self.owner = owner
         self.queue: list[Item] = []
         """What the other side is told next."""
         self.calls: dict[int, End] = {}
@@ -220,7 +234,7 @@ class Exchange:
 
     def tell(self, op: bytes, number: int, verb: str = "", data: bytes = b"") -> None:
         """Tell the other side something with the next message."""
-        self.queue.append(Item(op, number, verb, data))
+        self.queue.append(_new(Item, (op, number, verb, data)))
 
     def answer(self, number: int, value: Any, error: BaseException | None) -> None:
         """Tell the other side the end of its call."""
@@ -232,14 +246,26 @@ class Exchange:
                 error = unfit
         self.tell(Op.FAIL, number, data=self.pack_error(error))
 
-    async def work(
+    def begin(
         self,
         number: int,
-        function: Callable[..., Awaitable[Any]],
-        *args: Any,
-        **options: Any,
+        verb: str,
+        context: Any,
+        function: Any,
+        args: Any,
+        options: Any,
     ) -> None:
-        """Be the task that works on a call of the other side."""
+        """Work on a call of the other side, in a task."""
+        self.tasks[number] = spawn(
+            self.loop,
+            self.work(number, function, args, options or {}),
+            name=f"{self.name} {verb}",
+            owner=self.owner,
+            context=context,
+            leaves=True,
+        )
+
+    async def work(self, number: int, function: Any, args: Any, options: Any) -> None:
         value: Any = None
         failed: BaseException | None = None
         try:
@@ -248,20 +274,25 @@ class Exchange:
             failed = error
         if self.tasks.pop(number, None) is not None:
             self.answer(number, value, failed)
-        if (owner := current_owner()) is not None:
-            owner.leave(asyncio.current_task())
+        self.owner.leave(current_task_of(self.loop))
 
     def cancel(self, number: int) -> None:
         """End the work on a call, whose end tells so."""
-        if (task := self.tasks.get(number)) is not None:
-            task.cancel()
+        if (task := self.tasks.get(number)) is None:
+            return
+        task.cancel()
+        coroutine: Any = task.get_coro()
+        if inspect.getcoroutinestate(coroutine) == inspect.CORO_CREATED:
+            del self.tasks[number]  # it will not even begin, so this is its end
+            self.owner.leave(task)
+            self.answer(number, None, asyncio.CancelledError())
 
     def opened(self, item: Item) -> tuple[Any, BaseException | None]:
         """Return the value of an item, or the error that it is, or why it is none."""
         try:
             if item.op == Op.FAIL:
                 return None, self.unpack_error(item.data)
-            return self.unpack(item.data) if item.data else None, None
+            return decode(item.data, self.kinds) if item.data else None, None
         except CodecError as error:
             return None, BadValueError(self.name, item.verb or "answer", str(error))
 
@@ -272,14 +303,13 @@ class Exchange:
 
     def message(self) -> list[Item]:
         """Take of the queue what goes into one message; the rest goes later."""
-        size = count = 0
-        for each in self.queue[:ITEMS]:
+        taken, self.queue = self.queue, []
+        size = 0
+        for count, each in enumerate(taken):
             size += len(each.data)
-            if count and size > MESSAGE:
-                break
-            count += 1
-        taken = self.queue[:count]
-        del self.queue[:count]
+            if count and (size > MESSAGE or count == ITEMS):
+                self.queue = taken[count:]
+                return taken[:count]
         return taken
 
     def pack(self, verb: str, value: Any) -> bytes:
@@ -317,20 +347,18 @@ class Exchange:
         raise CodecError("it is no error")
 
 
-def settle(future: asyncio.Future[Any]) -> End:
-    """Return what lets a call's end be that of a future."""
-
-    def end(value: Any, error: BaseException | None) -> None:
-        if future.done():
-            return
-        if error is None:
-            future.set_result(value)
-        elif isinstance(error, asyncio.CancelledError):
-            future.cancel()
-        else:
-            future.set_exception(error)
-
-    return end
+def settle(
+    future: asyncio.Future[Any], value: Any, error: BaseException | None
+) -> None:
+    """Let a call's end be that of a future."""
+    if future.done():
+        return
+    if error is None:
+        future.set_result(value)
+    elif isinstance(error, asyncio.CancelledError):
+        future.cancel()
+    else:
+        future.set_exception(error)
 
 
 def make(recipe: dict[str, Any], kind: Any) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import concurrent.futures
-import heapq
 import math
 import random
 import threading
@@ -214,12 +213,7 @@ class VirtualLoop(TurnLoop):
 
     def _jumped(self) -> bool:
         """Let time jump to what comes next, if there is anything."""
-        scheduled = self._scheduled  # type: ignore[attr-defined]
-        while scheduled and scheduled[0]._cancelled:
-            heapq.heappop(scheduled)._scheduled = False
-            self._timer_cancelled_count = max(0, self._timer_cancelled_count - 1)  # type: ignore[has-type]
-        timer = float(scheduled[0]._when) if scheduled else NEVER
-        both = (timer, self._turn.due / SECOND)
+        both = (self.first_timer(), self._turn.due / SECOND)
         first = min(both)
         if first == NEVER:
             return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import random
 import resource as limits
@@ -308,9 +309,10 @@ def filled(world: World, step: Step) -> Callable[[], object]:
     limits.prlimit(process.pid, what, (0, before[1]))
 
     def empty() -> None:
+        with contextlib.suppress(ProcessLookupError):  # it has died by something else
+            limits.prlimit(process.pid, what, before)
         if process.error is None:
             world.deeds.dying.discard(step.target)
-            limits.prlimit(process.pid, what, before)
 
     return empty
 
