@@ -147,6 +147,59 @@ async def test_a_safe_command_given_up_before_the_stop_is_named_while_it_lives(
     assert robot.resources.abandoned() == ()
 
 
+@pytest.mark.promise("CALL-2")
+async def test_of_what_is_alive_a_motion_is_named_before_a_safe_command(
+    user_of: Any,
+) -> None:
+    """Whichever of them was begun first: the motion is what is worse."""
+    motor = Motor(30.0, deaf=True)
+    motor.safe_takes = 30.0
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]) as robot:
+        motor.safe_takes = 0.0
+        await asyncio.sleep(5.0)  # an opening has ended that had nothing to wait for
+        motor.safe_takes = 30.0
+        await robot.halt("to be safe")
+        motor.safe_takes = 0.0
+        await asyncio.sleep(5.0)
+        robot.resume()
+        with pytest.raises(esair.DriverStuckError):
+            await user.motor.write(1.0)
+        motor.takes = 0.0
+        await asyncio.sleep(5.0)
+        left = [str(call) for call in robot.resources.abandoned()]
+        assert any("safe" in each for each in left)
+        assert any("write" in each for each in left)
+    assert "write" in robot.stopped[0].error
+
+
+class Refuses(Motor):
+    """Its device says no to the safe command."""
+
+    says_no = False
+    tries = 0
+
+    async def write(self, command: float) -> None:
+        if self.says_no and not command:
+            self.tries += 1
+            raise OSError("no")
+        await super().write(command)
+
+
+@pytest.mark.promise("AC-4")
+async def test_a_safe_command_is_tried_three_times(user_of: Any) -> None:
+    """Then the actuator counts as unsafe: it is lost, and opened anew."""
+    motor = Refuses(0.0, name="motor")
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]) as robot:
+        await user.motor.write(1.0)
+        motor.says_no = True
+        await robot.halt("to be safe")
+        assert motor.tries == 3
+        assert robot.resources.query("motor").state is ResourceState.LOST
+        motor.says_no = False
+
+
 @pytest.mark.promise("CALL-1")
 async def test_a_writer_gets_its_outcome_at_the_deadline(user_of: Any) -> None:
     """Though the driver swallows its cancellation, and goes on for a minute."""

@@ -525,7 +525,6 @@ class Order(Request):
         worker, self.worker = self.worker, None
         if self._cancels:
             # Only what the withdrawal did is undone: who is removed meanwhile ends.
-            self._cancels = False
             assert worker is not None
             undone = worker.uncancel() <= self._before
             mine = undone and isinstance(error, asyncio.CancelledError)
