@@ -107,11 +107,10 @@ async def test_the_owner_refuses_by_its_own_clock() -> None:
     pair = Pair()
     async with pair.both() as (_base, _):
         bus, loop = pair.to_rover, asyncio.get_running_loop()
-        run, beat = bus._its_run, bus._its_beat
-        mine, newest = bus._run, bus._beats
+        run, mine, newest = bus._its_run, bus._run, bus._beats
 
         async def told(echo_run: int, echo: int) -> int:
-            head = Head(run, beat, echo_run, echo, 0.0)
+            head = Head(run, bus._its_beat, echo_run, echo, 0.0)
             data = packed(head, (1, "wheels", Twist(0.5, 0.0)), bus.kinds)
             before = len(pair.wheels.commands)
             pair.network.inject("rover", "base", "write", data)
@@ -126,6 +125,20 @@ async def test_the_owner_refuses_by_its_own_clock() -> None:
         assert await told(mine, bus._beats + 5) == 0
         assert bus.stats.refused == refused + 3
         assert loop.time() > 0
+
+
+@pytest.mark.promise("NET-4")
+async def test_what_was_overtaken_moves_nothing() -> None:
+    """A command that comes by another way, later than what was said after it."""
+    pair = Pair()
+    async with pair.both():
+        bus = pair.to_rover
+        for behind, moved in ((1, 0), (0, 1)):
+            head = Head(bus._its_run, bus._its_beat - behind, bus._run, bus._beats, 0.0)
+            data = packed(head, (1, "wheels", Twist(0.5, 0.0)), bus.kinds)
+            pair.network.inject("rover", "base", "write", data)
+            await asyncio.sleep(0.01)
+            assert len(pair.wheels.commands) - 1 == moved
 
 
 @pytest.mark.promise("NET-4")

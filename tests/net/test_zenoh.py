@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import shutil
 import statistics
 import time
+from collections.abc import Container
 from pathlib import Path
 from typing import Any
 
@@ -118,6 +120,105 @@ async def test_the_owner_comes_later_and_again() -> None:
             for kind in (Twist, Docking):
                 bus.declare(kind)
             pair.to_rover = bus
+
+
+KEEP_ALIVE = b"\x01\x00\x04"
+"""What zenoh says when it has nothing to say."""
+
+
+class Relay:
+    """Carries connections to a port; those in `mute` are taken, and never answered.
+
+    Of those in `half` who connects hears that it is connected, and that the other one lives.
+    """
+
+    def __init__(
+        self, port: int, *, mute: Container[int] = (), half: Container[int] = ()
+    ) -> None:
+        self.port = port
+        self.mute = mute
+        self.half = half
+        self.here = free_port()
+        self.ends: list[list[asyncio.StreamWriter]] = []
+        """Of each connection its two ends."""
+
+    async def __aenter__(self) -> Relay:
+        self._server = await asyncio.start_server(self._take, "127.0.0.1", self.here)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._server.close()
+        for _turn in range(3):  # what is being taken has its ends in a later turn
+            for number in range(len(self.ends)):
+                self.cut(number)
+            await asyncio.sleep(0.05)
+
+    def cut(self, number: int) -> None:
+        for end in self.ends[number]:
+            end.transport.abort()
+
+    async def _take(self, reader: Any, writer: Any) -> None:
+        number, ends = len(self.ends), [writer]
+        self.ends.append(ends)
+        if number in self.mute:
+            return
+        try:
+            there, to = await asyncio.open_connection("127.0.0.1", self.port)
+        except OSError:
+            writer.close()
+            return
+        ends.append(to)
+        back = self._carry_half if number in self.half else self._carry
+        await asyncio.gather(self._carry(reader, to), back(there, writer))
+
+    async def _carry(self, reader: Any, writer: Any) -> None:
+        with contextlib.suppress(OSError):
+            while data := await reader.read(1 << 16):
+                writer.write(data)
+        writer.close()
+
+    async def _carry_half(self, reader: Any, writer: Any) -> None:
+        with contextlib.suppress(OSError, EOFError):
+            for count in itertools.count():
+                size = await reader.readexactly(2)
+                data = await reader.readexactly(int.from_bytes(size, "little"))
+                writer.write(size + data if count < 2 else KEEP_ALIVE)
+        writer.close()
+
+
+def through(relay: Relay) -> Pair:
+    """Put a pair on a network whose connections a relay carries; a try takes long."""
+    base = Network(me="base", peers=["rover"], listen=[f"tcp/127.0.0.1:{relay.port}"])
+    end = f"tcp/127.0.0.1:{relay.here}"
+    rover = Network(me="rover", peers=["base"], connect=[end], connect_timeout=5.0)
+    return over(Pair(), base, rover)
+
+
+@pytest.mark.promise("NET-3")
+@pytest.mark.parametrize("wrong", [{"mute": {0}}, {"half": {0}}], ids=["mute", "half"])
+async def test_a_try_that_fails_holds_nobody_up(wrong: dict[str, Any]) -> None:
+    """Half a connection stays: zenoh does not know. There is another one beside it."""
+    async with Relay(free_port(), **wrong) as relay:
+        pair, hand = through(relay), Hand()
+        async with pair.base(), pair.rover(hand) as robot:
+            await use(pair, hand, robot)
+            await asyncio.sleep(1.5)
+            await use(pair, hand, robot)
+
+
+@pytest.mark.promise("NET-3")
+@pytest.mark.parametrize("cut", [0, 1])
+async def test_a_connection_that_breaks_has_another_one_beside_it(cut: int) -> None:
+    """Of two that one is used which stands, also when no new one is to be had."""
+    async with Relay(free_port(), mute=range(2, 100)) as relay:
+        pair, hand = through(relay), Hand()
+        async with pair.base(), pair.rover(hand) as robot:
+            await use(pair, hand, robot)
+            await asyncio.sleep(0.5)
+            assert len(relay.ends) == 2
+            relay.cut(cut)
+            await asyncio.sleep(1.5)  # longer than a peer may be silent
+            await use(pair, hand, robot)
 
 
 @pytest.mark.promise("NET-1", "NET-5")

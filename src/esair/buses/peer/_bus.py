@@ -215,6 +215,9 @@ class PeerBus(Bus):
             self._its_run, self._its_beat = head.run, -1
             if self._alive.is_set():
                 self._gone("it has restarted")
+        if head.beat < self._its_beat:
+            self.stats.late += 1  # it was overtaken on another way
+            return
         if head.beat > self._its_beat:
             silent = now - self._beat_at
             if self._alive.is_set():

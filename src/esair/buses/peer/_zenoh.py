@@ -13,6 +13,7 @@ import logging
 import os
 import re
 import threading
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -65,6 +66,19 @@ class Tls:
     key: Path
 
 
+def _retry(pause: int) -> dict[str, int]:
+    return {"period_init_ms": pause, "period_max_ms": pause}
+
+
+def _close(ways: list[Any]) -> None:
+    """Close each at once: one that tries to connect waits until its try is over."""
+    closing = [threading.Thread(target=way.close, daemon=True) for way in ways]
+    for each in closing:
+        each.start()
+    for each in closing:
+        each.join()
+
+
 def _paths(endpoints: Any) -> tuple[str, ...]:
     return tuple(map(str, endpoints))
 
@@ -72,6 +86,9 @@ def _paths(endpoints: Any) -> tuple[str, ...]:
 @attrs.define(eq=False, kw_only=True)
 class Network:
     """How a robot reaches its peers; the buses to all of them share it.
+
+    The side that connects has two ways, each a session of zenoh, and uses the one that is up:
+    where packets are lost a single one takes as long as TCP takes to repeat them.
 
     Attributes:
         me: The name of this robot on the network.
@@ -93,9 +110,9 @@ class Network:
     insecure: bool = False
     connect_timeout: float = attrs.field(default=0.2, converter=float)
     _users: set[str] = attrs.field(factory=set, init=False)
-    _session: Any = attrs.field(default=None, init=False)
+    _ways: list[Any] = attrs.field(factory=list, init=False)
     _opening: asyncio.Task[Any] | None = attrs.field(default=None, init=False)
-    _heard: dict[str, tuple[Any, Any]] = attrs.field(factory=dict, init=False)
+    _heard: dict[str, list[Any]] = attrs.field(factory=dict, init=False)
 
     def __attrs_post_init__(self) -> None:
         for name in (self.me, *self.peers):
@@ -139,7 +156,7 @@ class Network:
         """
         loop = asyncio.get_running_loop()
         self._users.add(bus.name)
-        if self._session is None and self._opening is None:
+        if not self._ways and self._opening is None:
             if self.insecure and self.tls is None:
                 told = "network: insecure: everybody who reaches it can drive %s"
                 _log.warning(told, self.me)
@@ -149,7 +166,9 @@ class Network:
             opening.result()
         import zenoh  # it is there: the session is open
 
-        session, name = self._session, bus.name
+        ways, name = list(self._ways), bus.name
+        beats, mine = key_of(name, self.me, "beat"), 0  # the way that is used
+        publishers = [way.declare_publisher(beats) for way in ways]
         door, tag = Door.of(loop), ("peer", name)
         room = threading.BoundedSemaphore(_WAITING)
 
@@ -169,19 +188,30 @@ class Network:
             what = str(sample.key_expr).rpartition("/")[2]
             door.tell(tag, take, what, payload.to_bytes())
 
+        def hear() -> Any:
+            return ways[mine].declare_subscriber(key_of(self.me, name, "*"), come)
+
+        def meets(way: int) -> bool:  # what is told of it comes later than it is so
+            return bool(publishers[way].matching_status.matching)
+
         def send(what: str, data: bytes) -> None:
+            nonlocal mine
+            if what == "beat" and not meets(mine):
+                mine, before = next(filter(meets, range(len(ways))), mine), mine
+                if mine != before:
+                    heard.pop().undeclare()
+                    heard.append(hear())
             drop = zenoh.CongestionControl.DROP
             key = key_of(name, self.me, what)
-            session.put(key, data, congestion_control=drop, express=True)
+            ways[mine].put(key, data, congestion_control=drop, express=True)
 
         def meet(status: Any) -> None:  # on a thread of zenoh
             if status.matching and room.acquire(blocking=False):
                 door.tell(tag, greet)  # what is said now gets there
 
-        publisher = session.declare_publisher(key_of(name, self.me, "beat"))
-        publisher.declare_matching_listener(meet)
-        key = key_of(self.me, name, "*")
-        self._heard[name] = publisher, session.declare_subscriber(key, come)
+        for each in publishers:
+            each.declare_matching_listener(meet)
+        self._heard[name] = heard = [*publishers, hear()]
         return send
 
     async def leave(self, bus: PeerBus) -> None:
@@ -192,9 +222,9 @@ class Network:
             for each in declared:
                 each.undeclare()
             return
-        session, self._session = self._session, None
-        if session is not None:
-            await shut_on(bus.executor, session.close, timeout=0.5)
+        ways, self._ways = self._ways, []
+        if ways:
+            await shut_on(bus.executor, partial(_close, ways), timeout=0.5)
             await bus.executor.join(timeout=0.1)
 
     async def _open(self, bus: PeerBus) -> None:
@@ -202,15 +232,23 @@ class Network:
             os.environ.setdefault("ZENOH_RUNTIME", f"({_THREADS})")  # it is read once
             import zenoh
 
-            config = zenoh.Config()
-            for key, value in self.settings().items():
-                config.insert_json5(key, json.dumps(value))
-            self._session = await open_on(
-                bus.executor,
-                lambda: zenoh.open(config),
-                lambda session: session.close(),
-                timeout=_OPENING,
-            )
+            def made() -> list[Any]:
+                # The second way tries beside the first one and not after it: a try whose
+                # packet is lost holds nothing up.
+                told, ways = self.settings(), list[Any]()
+                second = told | {"listen/endpoints": [], "connect/retry": _retry(100)}
+                try:
+                    for each in (told, second) if self.connect else (told,):
+                        config = zenoh.Config()
+                        for key, value in each.items():
+                            config.insert_json5(key, json.dumps(value))
+                        ways.append(zenoh.open(config))
+                except BaseException:
+                    _close(ways)
+                    raise
+                return ways
+
+            self._ways = await open_on(bus.executor, made, _close, timeout=_OPENING)
         except ImportError as error:
             told = "zenoh is not installed: pip install 'esair[net]'"
             raise ConfigError(bus.name, "network", told) from error
@@ -232,7 +270,7 @@ class Network:
             "scouting/delay": 0,
             "connect/timeout_ms": -1,  # for ever, in the background
             "connect/exit_on_failure": False,
-            "connect/retry": {"period_init_ms": 20, "period_max_ms": 20},
+            "connect/retry": _retry(20),
             "transport/shared_memory/enabled": False,
             "transport/link/protocols": ["tcp" if self.tls is None else "tls"],
             # A way that a cut has broken is made anew: TCP alone would wait ever longer,
