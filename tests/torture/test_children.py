@@ -87,6 +87,18 @@ def test_who_gets_no_more_memory_or_files_breaks_no_rule(name: str, how: str) ->
     assert decisions(world, name, since=2.5)
 
 
+def test_who_has_died_unheard_gets_nothing_to_bear() -> None:
+    """The story goes on: the robot was held up, and has not heard of the death."""
+    world = told(
+        children,
+        Step(1.0, "held up", much=1.0),
+        Step(1.0, "killed", "locks", how="SIGKILL"),
+        Step(1.0, "filled", "locks", how="files", lasts=0.1),
+    )
+    assert world.judge.found == []
+    assert world.done["filled"] == 0
+
+
 def test_who_has_a_process_is_in_the_cast() -> None:
     """Devices are simulated here, whatever they say."""
     cast = cast_of(children())

@@ -304,9 +304,12 @@ FULL = {"memory": limits.RLIMIT_AS, "files": limits.RLIMIT_NOFILE}
 def filled(world: World, step: Step) -> Callable[[], object]:
     """The process that it has gets no more memory, or opens no more files."""
     process, what = _process(world, step), FULL[step.how]
+    try:
+        before = limits.prlimit(process.pid, what)
+        limits.prlimit(process.pid, what, (0, before[1]))
+    except ProcessLookupError:  # it is dead, and nobody has heard of that
+        raise NotNowError from None
     world.deeds.dying.add(step.target)
-    before = limits.prlimit(process.pid, what)
-    limits.prlimit(process.pid, what, (0, before[1]))
 
     def empty() -> None:
         with contextlib.suppress(ProcessLookupError):  # it has died by something else
