@@ -12,6 +12,7 @@ import pytest
 
 import esair
 from esair import BehaviorState, Refused
+from esair.journal import Kind
 from esair.loop import TurnLoop
 from esair.supervisors import _halts
 from esair.testing import FakeActuator, FakeSensor, VirtualLoop
@@ -196,6 +197,24 @@ async def test_a_thread_that_halts_waits_no_longer_than_the_loop_needs(
         await (await asyncio.to_thread(robot.halt, "from a thread"))
         assert robot.halted == "from a thread"
     assert time.monotonic() - began < 10.0
+
+
+@pytest.mark.promise("ROB-4")
+@pytest.mark.real_clock
+async def test_a_thread_has_halted_when_its_call_returns(monkeypatch: Any) -> None:
+    """What follows in the thread finds the loop halted, not about to be."""
+    monkeypatch.setattr(_halts, "TAKEN_WITHIN", 20.0)
+    heard: list[str] = []
+
+    def halt() -> list[str]:
+        robot.halt("from a thread")
+        return list(heard)
+
+    async with esair.Robot() as robot:
+        robot.journal.listen(
+            lambda event: heard.append(event.text), kinds=[Kind.HALTED]
+        )
+        assert await asyncio.to_thread(halt) == ["from a thread"]
 
 
 @pytest.mark.promise("ROB-4")
