@@ -7,7 +7,11 @@ from pathlib import Path
 import pytest
 from tests.replay.soak import recorded, told_by
 
-pytestmark = [pytest.mark.real_clock, pytest.mark.xdist_group("placement")]
+pytestmark = [
+    pytest.mark.real_clock,
+    pytest.mark.long,
+    pytest.mark.xdist_group("placement"),
+]
 
 LATE = """
 import sys, time
