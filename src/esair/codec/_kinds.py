@@ -10,7 +10,7 @@ import sys
 import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import attrs
 
@@ -56,7 +56,8 @@ class Form(enum.Enum):
     ENUM = b"e"
     ERROR = b"X"
 
-    __hash__ = object.__hash__  # hot: that of an enum is a call
+    if not TYPE_CHECKING:  # an override that checkers cannot follow
+        __hash__ = object.__hash__  # hot: that of an enum is a call
 
 
 class Shape(NamedTuple):
