@@ -29,6 +29,7 @@ from esair.loop._light_task import (
     ignore,
     look_at,
     raisable,
+    settle,
     wake,
     wake_one,
 )
@@ -166,6 +167,7 @@ __all__ = [
     "refusal",
     "run_and_end",
     "script_context",
+    "settle",
     "sleep_in_thread",
     "spawn",
     "speaks_for_nobody",

@@ -49,11 +49,13 @@ def fail(future: asyncio.Future[Any] | None, error: BaseException) -> None:
 def settle(
     future: asyncio.Future[Any], value: Any, error: BaseException | None
 ) -> None:
-    """Give who still waits a value, or an error if there is one."""
+    """Give who still waits a value, an error if there is one, or a cancellation."""
     if future.done():
         return
     if error is None:
         future.set_result(value)
+    elif isinstance(error, asyncio.CancelledError):
+        future.cancel()
     else:
         future.set_exception(error)
 

@@ -25,7 +25,7 @@ from typing import Any, Final
 from esair.actions import Behavior, Reaction, adapt_action, in_loop
 from esair.codec import Kinds, declared, inner_of
 from esair.exceptions import BusyError, ConfigError, describe
-from esair.loop import NEVER, OwnedTasks, Owner, Portal, Stream, raisable
+from esair.loop import NEVER, OwnedTasks, Owner, Portal, Stream, raisable, settle
 from esair.placement._home import Order, Reacting, fill, scope
 from esair.placement._loop import ChildLoop
 from esair.placement._verbs import SCRIPT_OF_CHILD
@@ -40,7 +40,6 @@ from esair.placement._wire import (
     Op,
     Wire,
     make,
-    settle,
 )
 from esair.plan import SCRIPT, recipe_of
 from esair.resources import Sensor, adapt_resource

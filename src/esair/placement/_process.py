@@ -34,11 +34,12 @@ from esair.loop import (
     Player,
     Scheduler,
     clock_of,
+    settle,
     turn_of,
 )
 from esair.messages import Placement
 from esair.placement._nursery import Nursery, told_end
-from esair.placement._wire import RECORD, End, Exchange, Item, Op, Wire, settle
+from esair.placement._wire import RECORD, End, Exchange, Item, Op, Wire
 
 STACK: Final = 0.05
 """How long a child that hangs has to say where, before it is killed, in seconds."""

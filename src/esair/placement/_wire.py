@@ -347,20 +347,6 @@ class Exchange:
         raise CodecError("it is no error")
 
 
-def settle(
-    future: asyncio.Future[Any], value: Any, error: BaseException | None
-) -> None:
-    """Let a call's end be that of a future."""
-    if future.done():
-        return
-    if error is None:
-        future.set_result(value)
-    elif isinstance(error, asyncio.CancelledError):
-        future.cancel()
-    else:
-        future.set_exception(error)
-
-
 def make(recipe: dict[str, Any], kind: Any) -> Any:
     """Make a component of its class, and what that is given."""
     if recipe["options"] is None:  # of ESAIR MIN, whose classes keep what they get
