@@ -41,7 +41,7 @@ def swallow(child: Any) -> None:
 
 
 def call(child: Any, number: int, verb: str, *args: Any, busy: Any = 0.0) -> Item:
-    return Item(Op.CALL, number, verb, child.pack("x", (0, busy, None, *args)))
+    return Item(Op.CALL, number, verb, child.pack("x", (None, *args)), busy=busy)
 
 
 def wake(child: Any, when: float) -> None:
@@ -87,7 +87,7 @@ LIES: dict[str, Callable[[Any], object]] = {
         child, 20 * MANY, lambda number: Item(Op.DONE, 9 + number, "", b"")
     ),
     "busy for ever": lambda child: child.queue.append(
-        call(child, 9, "port", "wheels", "write", Twist(1.0, 1.0), busy=math.nan)
+        call(child, 9, "write :wheels", Twist(1.0, 1.0), busy=math.nan)
     ),
     "asks for ever": ask_for_ever,
     "long lists for ever": offer_for_ever,

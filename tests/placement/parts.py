@@ -326,12 +326,13 @@ class Liar(esair.Behavior):
     async def run(self) -> None:
         child: Any = self._host._child
         wire: Any = child._wire
-        data = child.pack("x", (0, 0.0, None))
         bad = {
-            "verb": Item(Op.CALL, 9, "__class__", data),
-            "port": Item(Op.CALL, 9, "port", child.pack("x", "nonsense")),
-            "method": Item(b"?", 9, "port", b"nonsense"),
-            "private": Item(Op.CALL, 9, "next order", data),
+            "verb": Item(Op.CALL, 9, "__class__", b""),
+            "port": Item(Op.CALL, 9, "read :wheels", child.pack("x", ("nonsense",))),
+            "time": Item(Op.CALL, 9, "write :wheels", b"", busy=math.nan),
+            "early": Item(Op.CALL, 9, "write :wheels", b"", busy=-1.0),
+            "method": Item(b"?", 9, "read :wheels", b"nonsense"),
+            "private": Item(Op.CALL, 9, "next_order", child.pack("x", 1)),
         }
         if self.lie in bad:
             child.queue.append(bad[self.lie])

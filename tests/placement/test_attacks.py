@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextvars
 import os
 import signal
 import socket
@@ -11,6 +10,7 @@ import struct
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -28,9 +28,9 @@ from tests.placement.parts import (
 from tests.placement.test_life import STOP, fake_wheels, lives, place, until
 
 import esair
-from esair.codec import CodecError, Kinds
-from esair.loop import Owner
-from esair.placement._wire import PACKET, Exchange, Item, Op, Wire
+from esair.codec import CodecError
+from esair.placement._child import Child
+from esair.placement._wire import PACKET, Item, Op, Wire
 from esair.testing import FakeSensor
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.xdist_group("placement")]
@@ -177,7 +177,19 @@ async def test_the_process_that_makes_children_is_replaced() -> None:
 
 @pytest.mark.promise("PLC-2", "PLC-5")
 @pytest.mark.parametrize(
-    "lie", ["garbage", "verb", "port", "method", "flood", "files", "turn", "private"]
+    "lie",
+    [
+        "garbage",
+        "verb",
+        "port",
+        "time",
+        "early",
+        "method",
+        "flood",
+        "files",
+        "turn",
+        "private",
+    ],
 )
 async def test_a_child_that_lies_is_a_component_that_failed(lie: str) -> None:
     """What is no message, or asks for what it cannot have, moves nothing."""
@@ -363,19 +375,35 @@ def test_a_packet_that_is_cut_is_no_message() -> None:
 @pytest.mark.promise("PLC-1", "PLC-5")
 async def test_what_is_cancelled_before_it_has_begun_has_an_end() -> None:
     """A call and its cancellation in one message: who waits is told, and nothing is left."""
-    loop, owner = asyncio.get_running_loop(), Owner()
-    side = Exchange("side", Kinds(), loop, owner)
-    begun: list[int] = []
+    mine, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    robot, begun = Wire(mine), []
+    made: list[Child] = []
 
-    async def begin() -> None:
-        begun.append(1)
+    class Component:
+        async def run(self) -> None:
+            begun.append(1)
 
-    side.begin(7, "run", contextvars.Context(), begin, (), None)
-    side.cancel(7)
-    await asyncio.sleep(0.01)
-    (told,) = side.message()
-    _, error = side.opened(told)
+    def live() -> None:
+        child = Child(Wire(its))
+        child.component = Component()
+        made.append(child)
+        child.loop.run_forever()
+
+    thread = threading.Thread(target=live)
+    thread.start()
+    call, cancel = Item(Op.CALL, 7, "run", b""), Item(Op.CANCEL, 7, "", b"")
+    robot.send(Op.GO, 1.0, [call, cancel])
+    message = await asyncio.to_thread(robot.receive)
+    (child,) = made
+    child.loop.call_soon_threadsafe(child.loop.stop)
+    robot.send(Op.GO, 1.0)  # the turn in which it stops
+    await asyncio.to_thread(thread.join)
+    assert message is not None
+    (told,) = message[2]
     assert (told.op, told.number, begun) == (Op.FAIL, 7, [])
-    assert isinstance(error, asyncio.CancelledError)
-    assert not side.tasks
-    assert not owner.living()
+    assert isinstance(child.opened(told)[1], asyncio.CancelledError)
+    assert not child.tasks
+    assert not child.owner.living()
+    child.loop.close()
+    robot.close()
+    its.close()

@@ -39,7 +39,7 @@ class Owner:
         self.told: Sequence[asyncio.Task[Any]] = ()
         """Those of its tasks that were cancelled: each has its grace to clean up."""
 
-    def adopt(self, task: asyncio.Task[Any], *, leaves: bool = False) -> None:
+    def adopt(self, task: Any, *, leaves: bool = False) -> None:
         """Remember a task until it is done, or until it leaves itself.
 
         The loop itself keeps only weak references.
@@ -56,8 +56,15 @@ class Owner:
 
     def leave(self, task: Any) -> None:
         """Let go of a task that ends now: a callback would cost a turn of the loop."""
-        if self._others is not None:
+        if task is self._first:
+            self._first = None
+        elif self._others is not None:
             self._others.pop(task, None)
+
+    def own(self, context: contextvars.Context) -> contextvars.Context:
+        """Let what is started in a context belong to it; return the context."""
+        context.run(_owner.set, self)
+        return context
 
     def living(self) -> list[asyncio.Task[Any]]:
         """Return the tasks that are not done, as they were made; the first one last."""
@@ -98,9 +105,8 @@ def spawn(
         context = (begins or tasks.script).copy()
     if owner is None:
         return asyncio.Task(coroutine, loop=loop, name=name, context=context)
-    context.run(_owner.set, owner)
     number = next(tasks.numbers)
-    task = Task(number, coroutine, loop=loop, name=name, context=context)
+    task = Task(number, coroutine, loop=loop, name=name, context=owner.own(context))
     owner.adopt(task, leaves=leaves)
     return task
 

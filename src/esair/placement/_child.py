@@ -25,7 +25,17 @@ from typing import Any, Final
 from esair.actions import Behavior, Reaction, adapt_action, in_loop
 from esair.codec import Kinds, declared, inner_of
 from esair.exceptions import BusyError, ConfigError, describe
-from esair.loop import NEVER, OwnedTasks, Owner, Portal, Stream, raisable, settle
+from esair.loop import (
+    NEVER,
+    OwnedTasks,
+    Owner,
+    Portal,
+    Stream,
+    current_task_of,
+    raisable,
+    settle,
+    spawn,
+)
 from esair.placement._home import Order, Reacting, fill, scope
 from esair.placement._loop import ChildLoop
 from esair.placement._verbs import SCRIPT_OF_CHILD
@@ -249,16 +259,16 @@ class Child(Exchange):
         if len(self.queue) >= ITEMS // 2:
             raise BusyError(self.name, "number of calls from its process", CALLS)
         busy = time.monotonic() - self._heard
-        return self.ask(verb, (scope.get(), busy, options or None, *args), end)
+        return self.ask(end, verb, args, options, scope.get(), busy)
 
     # What the robot asks.
 
     def _take(self, item: Item) -> None:
-        op, number, verb, data = item
+        op, number, verb, data = item[:4]
         if op == Op.CALL:
             self._begin(number, verb, data)
         elif op == Op.CANCEL:
-            self.cancel(number)
+            self._cancel(number)
         elif op == Op.NEWS:
             self._news[number](self.unpack(data))
         elif op == Op.WITHDRAWN:
@@ -269,7 +279,7 @@ class Child(Exchange):
 
     def _begin(self, number: int, verb: str, data: bytes) -> None:
         try:
-            options, *args = self.unpack(data)
+            options, *args = self.unpack(data) if data else (None,)
             if verb in self._at_once:
                 self.answer(number, self._at_once[verb](*args), None)
                 return
@@ -279,7 +289,32 @@ class Child(Exchange):
             return
         context = contextvars.copy_context()
         context.run(scope.set, number)
-        self.begin(number, verb, context, method, args, options)
+        self.tasks[number] = spawn(
+            self.loop,
+            self._work(number, method, args, options or {}),
+            name=f"{self.name} {verb}",
+            owner=self.owner,
+            context=context,
+            leaves=True,
+        )
+
+    async def _work(self, number: int, function: Any, args: Any, options: Any) -> None:
+        value: Any = None
+        failed: BaseException | None = None
+        try:
+            value = await function(*args, **options)
+        except BaseException as error:  # told to the robot
+            failed = error
+        self.over(number, current_task_of(self.loop), value, failed)
+
+    def _cancel(self, number: int) -> None:
+        """End the work on a call, whose end tells so."""
+        if (task := self.tasks.get(number)) is None:
+            return
+        task.cancel()
+        if inspect.getcoroutinestate(task.get_coro()) == inspect.CORO_CREATED:
+            # It will not even begin, so this is its end.
+            self.over(number, task, None, asyncio.CancelledError())
 
     def _method(self, verb: str) -> Callable[..., Any]:
         if verb in self._own_verbs:
@@ -380,7 +415,7 @@ class Outcome(asyncio.Future[Any]):
 
     def cancel(self, msg: Any | None = None) -> bool:
         if self.child.calls.pop(self.number, None) is not None:
-            self.child.tell(Op.CANCEL, self.number)
+            self.child.tell(Item(Op.CANCEL, self.number, "", b""))
         return super().cancel(msg)
 
 

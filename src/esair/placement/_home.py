@@ -262,7 +262,7 @@ class RemotePort:
 
 def _awaited(name: str) -> Any:
     async def call(self: RemotePort, *args: Any, **options: Any) -> Any:
-        return await self._child.call("port", self._key, name, *args, **options)
+        return await self._child.call(f"{name} {self._key}", *args, **options)
 
     return call
 
@@ -314,7 +314,7 @@ class Loop(AsyncIterator[Any]):
         child = self._child
         if self._number is None:
             self._number = await child.call("loop", self._attribute)
-        number, data, sender = await child.call("next order", self._number)
+        number, data, sender = await child.call("next_order", self._number)
         order = Order(child, number, data, sender, self._number)
         order.serve()
         return order.handle

@@ -18,7 +18,7 @@ import select
 import signal
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine, Iterable
 from typing import Any, Final
 
 from esair.codec import CodecError, Kinds
@@ -26,9 +26,11 @@ from esair.exceptions import ProcessDiedError, printable
 from esair.loop import (
     NEVER,
     REACHED,
+    Caller,
     Deadlines,
     Door,
     First,
+    FirstSteps,
     OneShot,
     Owner,
     Player,
@@ -74,7 +76,7 @@ class Process(Exchange):
         nursery: Where it comes from.
         owner: Who owns what is done here for the child.
         repeats: Whether it runs in a replay, too; what drivers give comes from the tape.
-        serve: Called with each call of the child: its number, verb and arguments.
+        serve: Called with each call of the child, and its options and arguments.
         died: Called with the error, once, if it ends before it is closed.
     """
 
@@ -87,7 +89,7 @@ class Process(Exchange):
         owner: Owner,
         *,
         repeats: bool,
-        serve: Callable[[int, str, Any], object],
+        serve: Callable[[Item, Any], object],
         died: Callable[[ProcessDiedError], object],
     ) -> None:
         super().__init__(name, kinds, asyncio.get_running_loop(), owner)
@@ -96,6 +98,8 @@ class Process(Exchange):
         """Why it is gone; None while it lives."""
         self.scopes: dict[int, contextvars.Context] = {}
         """For whom the child works, by the number of the call that it works for."""
+        self.nobodys = owner.own(contextvars.Context())
+        """For whom it works that works for no call."""
         self.is_still: bool = False
         """Whether nothing in it goes on before one of its calls ends."""
         self.sent = 0.0
@@ -105,6 +109,7 @@ class Process(Exchange):
         self._time = clock_of(loop)
         self._door = Door.of(loop)
         self._tag = ("thread" if repeats else "driver", name)
+        self._steps, self._caller = FirstSteps(loop), Caller(f"the process of {name}")
         self._lane = object()
         self._told_to_end: set[int] = set()
         self._is_empty = False  # nothing could be made in it
@@ -146,8 +151,8 @@ class Process(Exchange):
         """
         if self.error is not None:
             raise self.error.with_traceback(None)
-        number = self.ask(verb, (options or None, *args), end)
-        self.scopes[number] = contextvars.copy_context()
+        number = self.ask(end, verb, args, options)
+        self.scopes[number] = self.owner.own(contextvars.copy_context())
         return number
 
     async def run(self, verb: str, *args: Any, **options: Any) -> Any:
@@ -166,18 +171,47 @@ class Process(Exchange):
             waiter = self.loop.create_future()
             self.calls[number] = functools.partial(settle, waiter)
             self._told_to_end.add(number)
-            self.tell(Op.CANCEL, number)
+            self.tell(Item(Op.CANCEL, number, "", b""))
             try:
                 return await waiter
             finally:
                 if not waiter.done() or waiter.cancelled():
                     self.calls.pop(number, None)
 
-    def tell(self, op: bytes, number: int, verb: str = "", data: bytes = b"") -> None:
+    def tell(self, item: Item) -> None:
         """Send something as soon as it is the child's turn to hear."""
         if self.error is None:
-            super().tell(op, number, verb, data)
+            self.queue.append(item)
             self._send()
+
+    def begin(
+        self,
+        number: int,
+        context: contextvars.Context,
+        function: Callable[..., Coroutine[Any, Any, Any]],
+        args: Iterable[Any],
+        options: dict[str, Any],
+    ) -> None:
+        """Work on a call of the child, from the first step on."""
+        steps, self._caller.context = self._steps, context
+        light = self.tasks[number] = steps.spare
+        self.owner.adopt(light, leaves=True)
+        value: Any = None
+        failed: BaseException | None = None
+        try:
+            value = steps.begin(function(*args, **options), self._caller)
+        except BaseException as error:  # told to the child
+            failed = error
+        over = functools.partial(self.over, number, light)
+        if value is light:
+            light.then(over)
+        else:
+            over(value, failed)
+
+    def cancel(self, number: int) -> None:
+        """End the work on a call of the child, whose end tells so."""
+        if (task := self.tasks.get(number)) is not None:
+            task.cancel()
 
     def refuse(self, error: BaseException) -> None:
         """Let an error be the end of every call: there is no component."""
@@ -297,10 +331,11 @@ class Process(Exchange):
         if kind != Op.SYNC:  # else its loop does not go on: it may ask for ever
             self._hangs_at = NEVER
         self.is_still = kind == Op.STILL
-        for (op, number, verb, _), value, error in items:
+        for item, value, error in items:
+            op, number = item.op, item.number
             try:
                 if op == Op.CALL and error is None:
-                    self._serve(number, verb, value)
+                    self._serve(item, value)
                 elif op == Op.CALL:
                     self.answer(number, None, error)
                 elif op == Op.CANCEL:

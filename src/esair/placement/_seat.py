@@ -32,7 +32,7 @@ from esair.messages import Placement, placement_of
 from esair.placement._nursery import Nursery
 from esair.placement._process import Process
 from esair.placement._verbs import Asked, BehaviorVerbs, StepSeat, Verbs, verbs_of
-from esair.placement._wire import ALWAYS, CALLS, End
+from esair.placement._wire import ALWAYS, CALLS, End, Item
 from esair.plan import recipe_of
 from esair.resources import Resource
 
@@ -40,8 +40,6 @@ __all__ = ["PlacedRunner", "Seat", "Seats", "StepSeat"]
 
 PATIENCE: Final = 0.2
 """How long an answer may take if no actuator says by its ``command_timeout``, in s."""
-
-_NOBODY: Final = contextvars.Context()
 
 
 class Seats:
@@ -191,7 +189,8 @@ class Seat:
     def reply(self, op: bytes, number: int, value: Any) -> None:
         """Tell the child something about a call or a request."""
         if self.process is not None:
-            self.process.tell(op, number, data=self.process.pack("news", value))
+            told = self.process.pack("news", value)
+            self.process.tell(Item(op, number, "", told))
 
     def spawn(self, coroutine: Coroutine[Any, Any, None], name: str) -> object:
         """Do something in the name of the component."""
@@ -293,40 +292,36 @@ class Seat:
 
     # What the child asks for.
 
-    def _serve(self, number: int, verb: str, given: Any) -> None:
+    def _serve(self, item: Item, given: Any) -> None:
         process = self.process
         assert process is not None
-        try:
-            scope, busy, options, *args = given
-        except (TypeError, ValueError):
-            scope = None
-        # hot: a match statement takes seven times as long
+        _, number, verb, _, scope, busy = item
+        options, *args = given or (None,)
+        verb, _, port = verb.partition(" ")
+        verbs, scopes, tasks = self._verbs, process.scopes, process.tasks
+        plain = verbs.plain.get(verb)
+        waits: Any = verbs.waits.get(verb)
+        context = scopes.get(scope, process.nobodys).copy()
+        if verb == "next_order" and args:  # what it asks for next it does for that
+            context = scopes.get(args[0], context)
         if (
-            type(scope) is not int
-            or type(busy) is not float
-            or not busy >= 0.0
+            not busy >= 0.0
             or (options is not None and type(options) is not dict)
+            or (plain is None and waits is None)
+            or number in tasks
+            or len(tasks) >= CALLS
         ):
             process.condemn("has asked for what it cannot have")
-            return
-        context: contextvars.Context | None
-        context = process.scopes.get(scope, _NOBODY).copy()
-        if plain := self._verbs.plain.get(verb):
+        elif plain is None:
+            asked = Asked(number, process.sent + busy, port)
+            process.begin(number, context, waits, (asked, *args), options or {})
+        else:
             try:
                 value = context.run(plain, *args, **options or {})
             except Exception as error:
                 process.answer(number, None, error)
             else:
                 process.answer(number, value, None)
-            return
-        waits, tasks = self._verbs.waits.get(verb), process.tasks
-        if verb == "next order":  # what it asks for next it does for that
-            context = process.scopes.get(args[0]) if args else None
-        if waits is None or context is None or number in tasks or len(tasks) >= CALLS:
-            process.condemn("has asked for what it cannot have")
-            return
-        asked = Asked(number, process.sent + busy)
-        process.begin(number, verb, context, waits, (asked, *args), options)
 
     def _died(self, error: ProcessDiedError) -> None:
         if self._on_death is not None:

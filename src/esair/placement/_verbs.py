@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import sys
 from collections.abc import Callable, Iterator
 from typing import Any, Final, NamedTuple
@@ -33,10 +34,12 @@ class Asked(NamedTuple):
     Attributes:
         number: Its number, for what is told of it before its end.
         made: When the child has made it.
+        port: Which port is meant, if it is one.
     """
 
     number: int
     made: float
+    port: str
 
 
 def loaded(recipe: Any) -> Any:
@@ -180,7 +183,6 @@ class BehaviorVerbs(PortVerbs):
             "leave": self._leave,
         }
         self.waits |= {
-            "port": self._port,
             "put": lambda _, *args: Behavior.put(behavior, *args),
             "get": lambda _, *args: Behavior.get(behavior, *args),
             "ask": self._ask,
@@ -195,8 +197,10 @@ class BehaviorVerbs(PortVerbs):
             "next": lambda _, number: anext(self._streams[number]),
             "left": self._close_values,
             "loop": self._loop,
-            "next order": self._next_order,
+            "next_order": self._next_order,
         }
+        for name in AWAITED:
+            self.waits[name] = functools.partial(self._port, name)
 
     def _next(self) -> int:
         self._number += 1
@@ -204,10 +208,8 @@ class BehaviorVerbs(PortVerbs):
 
     # Ports.
 
-    async def _port(
-        self, asked: Asked, key: str, name: str, *args: Any, **options: Any
-    ) -> Any:
-        port = self._find(key, name, AWAITED)
+    async def _port(self, name: str, asked: Asked, *args: Any, **options: Any) -> Any:
+        port = self._find(asked.port, name, AWAITED)
         if name == "write":
             limit = self._seat.command_timeout(port.resource)
             now = clock_of(asyncio.get_running_loop())()

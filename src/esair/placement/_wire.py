@@ -12,7 +12,6 @@ import array
 import asyncio
 import contextlib
 import fcntl
-import inspect
 import os
 import socket
 import struct
@@ -29,7 +28,7 @@ from esair.exceptions import (
     describe,
     told_traceback,
 )
-from esair.loop import Owner, current_task_of, raisable, spawn
+from esair.loop import Owner, raisable
 
 CALLS: Final = 64
 """How many calls of one side may be in flight."""
@@ -76,7 +75,7 @@ ASKED: Final = {"newest", "settings", "state", "max_age"}
 
 _FILE: Final = b"\0"
 _HEAD: Final = struct.Struct("<cd")
-_ITEM: Final = struct.Struct("<cqHI")
+_ITEM: Final = struct.Struct("<cqqdHI")
 _FILES: Final = socket.CMSG_SPACE(4 * 4)
 _CUT: Final = int(socket.MSG_TRUNC)  # hot
 _new = tuple.__new__  # hot
@@ -91,14 +90,18 @@ class Item(NamedTuple):
     Attributes:
         op: One of `Op`.
         number: That of the call, given by the side that calls.
-        verb: What is called.
-        data: Its arguments, its value or its error, coded.
+        verb: What is called; after a blank the port that is meant.
+        data: Its arguments, if it has any, its value or its error, coded.
+        scope: For which call of the robot a child makes this one.
+        busy: How long the child had worked when it made it, in seconds.
     """
 
     op: bytes
     number: int
     verb: str
     data: bytes
+    scope: int = 0
+    busy: float = 0.0
 
 
 class Wire:
@@ -124,9 +127,10 @@ class Wire:
             OSError: The other end is gone.
         """
         parts = [_HEAD.pack(kind, moment)]
-        for op, number, verb, coded in items:
+        for op, number, verb, coded, scope, busy in items:
             name = verb.encode()
-            parts += _ITEM.pack(op, number, len(name), len(coded)), name, coded
+            head = _ITEM.pack(op, number, scope, busy, len(name), len(coded))
+            parts += head, name, coded
         data = b"".join(parts)
         if len(data) <= PACKET:
             self._end.send(data)
@@ -162,12 +166,12 @@ class Wire:
             place, end = _HEAD.size, len(data)
             self.size = end
             while place < end and len(items) <= ITEMS:
-                op, number, name, size = _ITEM.unpack_from(data, place)
-                verb = place + _ITEM.size
-                value = verb + name
+                op, number, scope, busy, name, size = _ITEM.unpack_from(data, place)
+                begin = place + _ITEM.size
+                value = begin + name
                 place = value + size
-                told = op, number, data[verb:value].decode(), data[value:place]
-                items.append(_new(Item, told))
+                verb, coded = data[begin:value].decode(), data[value:place]
+                items.append(_new(Item, (op, number, verb, coded, scope, busy)))
         except (struct.error, UnicodeDecodeError):
             raise CodecError("it is no message") from None
         if place != end or len(items) > ITEMS:
@@ -214,10 +218,18 @@ class Exchange:
         """What hears of the ends of the own calls, by their number."""
         self.newest = 0
         """The number of the newest own call."""
-        self.tasks: dict[int, asyncio.Task[None]] = {}
+        self.tasks: dict[int, Any] = {}
         """What works on calls of the other side, by their number."""
 
-    def ask(self, verb: str, asked: Any, end: End) -> int:
+    def ask(
+        self,
+        end: End,
+        verb: str,
+        args: tuple[Any, ...],
+        options: dict[str, Any],
+        scope: int = 0,
+        busy: float = 0.0,
+    ) -> int:
         """Call the other side; return the number of the call.
 
         Raises:
@@ -226,73 +238,43 @@ class Exchange:
         """
         if len(self.calls) >= CALLS:
             raise BusyError(self.name, "number of calls between its processes", CALLS)
-        data = self.pack(verb, asked)
-        self.newest += 1
-        self.calls[self.newest] = end
-        self.tell(Op.CALL, self.newest, verb, data)
-        return self.newest
+        data = b""
+        if args or options:
+            data = self.pack(verb, (options or None, *args))
+        self.newest = number = self.newest + 1
+        self.calls[number] = end
+        self.tell(_new(Item, (Op.CALL, number, verb, data, scope, busy)))
+        return number
 
-    def tell(self, op: bytes, number: int, verb: str = "", data: bytes = b"") -> None:
+    def tell(self, item: Item) -> None:
         """Tell the other side something with the next message."""
-        self.queue.append(_new(Item, (op, number, verb, data)))
+        self.queue.append(item)
 
     def answer(self, number: int, value: Any, error: BaseException | None) -> None:
         """Tell the other side the end of its call."""
         if error is None:
             try:
-                self.tell(Op.DONE, number, data=self.pack("answer", value))
+                data = b"" if value is None else self.pack("answer", value)
+                self.tell(Item(Op.DONE, number, "", data))
                 return
             except Exception as unfit:
                 error = unfit
-        self.tell(Op.FAIL, number, data=self.pack_error(error))
+        self.tell(Item(Op.FAIL, number, "", self.pack_error(error)))
 
-    def begin(
-        self,
-        number: int,
-        verb: str,
-        context: Any,
-        function: Any,
-        args: Any,
-        options: Any,
+    def over(
+        self, number: int, task: Any, value: Any, error: BaseException | None
     ) -> None:
-        """Work on a call of the other side, in a task."""
-        self.tasks[number] = spawn(
-            self.loop,
-            self.work(number, function, args, options or {}),
-            name=f"{self.name} {verb}",
-            owner=self.owner,
-            context=context,
-            leaves=True,
-        )
-
-    async def work(self, number: int, function: Any, args: Any, options: Any) -> None:
-        value: Any = None
-        failed: BaseException | None = None
-        try:
-            value = await function(*args, **options)
-        except BaseException as error:  # told to the other side
-            failed = error
+        """The work on a call of the other side has ended."""
+        self.owner.leave(task)
         if self.tasks.pop(number, None) is not None:
-            self.answer(number, value, failed)
-        self.owner.leave(current_task_of(self.loop))
-
-    def cancel(self, number: int) -> None:
-        """End the work on a call, whose end tells so."""
-        if (task := self.tasks.get(number)) is None:
-            return
-        task.cancel()
-        coroutine: Any = task.get_coro()
-        if inspect.getcoroutinestate(coroutine) == inspect.CORO_CREATED:
-            del self.tasks[number]  # it will not even begin, so this is its end
-            self.owner.leave(task)
-            self.answer(number, None, asyncio.CancelledError())
+            self.answer(number, value, error)
 
     def opened(self, item: Item) -> tuple[Any, BaseException | None]:
         """Return the value of an item, or the error that it is, or why it is none."""
         try:
             if item.op == Op.FAIL:
                 return None, self.unpack_error(item.data)
-            return decode(item.data, self.kinds) if item.data else None, None
+            return decode(item.data, self.kinds) if item.data else None, None  # hot
         except CodecError as error:
             return None, BadValueError(self.name, item.verb or "answer", str(error))
 
