@@ -214,7 +214,8 @@ async def test_two_hundred_hung_drivers(tmp_path: Path) -> None:
             for each in range(SIDE_BY_SIDE):
                 group.create_task(hang(each))
     assert len(lost) == TIMES
-    assert patience.within(HungSonar.deadline + 0.1, told("hang to lost", lost))
+    # Whoever is cancelled at its deadline has 0.1 s to clean up, here as in the robot.
+    assert patience.within(HungSonar.deadline + 0.15, told("hang to lost", lost))
 
 
 ROBOT = """
