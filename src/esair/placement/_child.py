@@ -158,8 +158,10 @@ class Child(Exchange):
             faulthandler.cancel_dump_traceback_later()
         if self._has_turn:
             self._has_turn = False
-            self._of_others &= self.calls.keys()
-            is_still = self._of_others and self._is_still()
+            is_still = False
+            if self._of_others:
+                self._of_others &= self.calls.keys()
+                is_still = bool(self._of_others) and self._is_still()
             self._send(Op.STILL if is_still else Op.IDLE, wake)
 
     def _is_still(self) -> bool:
@@ -264,8 +266,11 @@ class Child(Exchange):
     # What the robot asks.
 
     def _take(self, item: Item) -> None:
-        op, number, verb, data = item[:4]
-        if op == Op.CALL:
+        op, number, verb, data, _, _ = item
+        if op == Op.DONE or op == Op.FAIL:
+            self._news.pop(number, None)
+            self.ended(number, *self.opened(item))
+        elif op == Op.CALL:
             self._begin(number, verb, data)
         elif op == Op.CANCEL:
             self._cancel(number)
@@ -273,9 +278,6 @@ class Child(Exchange):
             self._news[number](self.unpack(data))
         elif op == Op.WITHDRAWN:
             self.orders[number]()
-        else:
-            self._news.pop(number, None)
-            self.ended(number, *self.opened(item))
 
     def _begin(self, number: int, verb: str, data: bytes) -> None:
         try:
