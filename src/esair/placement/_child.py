@@ -10,6 +10,7 @@ import faulthandler
 import functools
 import importlib.util
 import inspect
+import itertools
 import json
 import logging
 import os
@@ -127,6 +128,8 @@ class Child(Exchange):
         self._news: dict[int, Callable[[Any], object]] = {}
         self.orders: dict[int, Callable[[], object]] = {}
         """What ends the work on a request, by its number."""
+        self.numbers: Iterator[int] = itertools.count(-1, -1)
+        """Of its loops over readings and requests; those of calls are above 0."""
         self._heard = time.monotonic()
         self._has_turn = False
         self._of_others: set[int] = set()  # the calls that other behaviors answer

@@ -252,10 +252,10 @@ class RemotePort:
 
     async def _values(self) -> AsyncGenerator[Any, None]:
         child = self._child
-        number = await child.call("values", self._key)
+        number = next(child.numbers)
         try:
             while True:
-                yield await child.call("next", number)
+                yield await child.call(f"next {self._key}", number)
         finally:
             child.note("left", number)
 
@@ -307,14 +307,13 @@ class Loop(AsyncIterator[Any]):
     def __init__(self, child: Child, attribute: str) -> None:
         self._child = child
         self._attribute = attribute
-        self._number: int | None = None
+        self._number = next(child.numbers)
 
     async def __anext__(self) -> Any:
         """Wait for the next request."""
         child = self._child
-        if self._number is None:
-            self._number = await child.call("loop", self._attribute)
-        number, data, sender = await child.call("next_order", self._number)
+        called = f"next_order {self._attribute}"
+        number, data, sender = await child.call(called, self._number)
         order = Order(child, number, data, sender, self._number)
         order.serve()
         return order.handle

@@ -8,7 +8,6 @@ component's own ports, in tasks of its own: so every rule of the robot holds for
 from __future__ import annotations
 
 import asyncio
-import contextvars
 import logging
 import sys
 from collections.abc import Callable, Coroutine, Iterable
@@ -198,13 +197,6 @@ class Seat:
         loop = asyncio.get_running_loop()
         return spawn(loop, coroutine, name=called, owner=self._owner)
 
-    def keep_scope(self) -> int:
-        """Keep for whom the code that runs now works; return its number."""
-        scopes = self.lives.scopes
-        number = -1 - len(scopes)
-        scopes[number] = contextvars.copy_context()
-        return number
-
     def command_timeout(self, resource: str) -> float | None:
         return self._seats.command_timeout(resource)
 
@@ -303,7 +295,7 @@ class Seat:
         waits: Any = verbs.waits.get(verb)
         context = scopes.get(scope, process.nobodys).copy()
         if verb == "next_order" and args:  # what it asks for next it does for that
-            context = scopes.get(args[0], context)
+            context = scopes.setdefault(args[0], context)
         if (
             not busy >= 0.0
             or (options is not None and type(options) is not dict)

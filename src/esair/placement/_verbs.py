@@ -193,10 +193,8 @@ class BehaviorVerbs(PortVerbs):
             "manage": self._manage,
             "stop": self._stop,
             "halted": self._halted,
-            "values": self._values,
-            "next": lambda _, number: anext(self._streams[number]),
+            "next": self._next_value,
             "left": self._close_values,
-            "loop": self._loop,
             "next_order": self._next_order,
         }
         for name in AWAITED:
@@ -290,13 +288,15 @@ class BehaviorVerbs(PortVerbs):
     def _next_stage(self, number: int) -> None:
         wake(next(self._stages.get(number, iter(())), None))
 
-    async def _values(self, _: Asked, key: str) -> int:
-        number = self._next()
-        self._streams[number] = aiter(self._find(key, "reading", AWAITED))
-        return number
+    async def _next_value(self, asked: Asked, number: int) -> Any:
+        if (stream := self._streams.get(number)) is None:
+            stream = aiter(self._find(asked.port, "reading", AWAITED))
+            self._streams[number] = stream
+        return await anext(stream)
 
     async def _close_values(self, _: Asked, number: int) -> None:
-        await self._streams.pop(number).aclose()
+        if (stream := self._streams.pop(number, None)) is not None:
+            await stream.aclose()
 
     # Others.
 
@@ -379,16 +379,12 @@ class BehaviorVerbs(PortVerbs):
                 None if error is None else self._seat.lives.unpack_error(error)
             )
 
-    async def _loop(self, _: Asked, attribute: str) -> int:
+    async def _next_order(self, asked: Asked, number: int) -> tuple[int, Any, str]:
+        name, attribute = self._behavior.name, asked.port
         if attribute not in self._behavior.takes:
-            raise AccessDeniedError(
-                self._behavior.name, attribute, "take", "not declared"
-            )
-        number = self._seat.keep_scope()
-        self._loops[number] = aiter(vars(self._behavior)[attribute]), 0
-        return int(number)
-
-    async def _next_order(self, _: Asked, number: int) -> tuple[int, Any, str]:
+            raise AccessDeniedError(name, attribute, "take", "not declared")
+        if number not in self._loops:
+            self._loops[number] = aiter(vars(self._behavior)[attribute]), 0
         loop, before = self._loops[number]
         self.orders.pop(before, None)
         request = await anext(loop)
