@@ -176,6 +176,16 @@ class Docking(esair.Behavior):
                     request.answer(Docked(request.bay))
 
 
+class OneByOne(Docking):
+    """Begins a loop for each request; goes on with it after the loop."""
+
+    async def run(self) -> None:
+        while True:
+            request = await anext(aiter(self.orders))
+            async with request:
+                request.answer(Docked(request.bay))
+
+
 class Answering(esair.Behavior):
     placement = "process"
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import math
 import os
+import queue
 import signal
 import socket
 import struct
@@ -12,6 +15,7 @@ import sys
 import textwrap
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -372,38 +376,57 @@ def test_a_packet_that_is_cut_is_no_message() -> None:
         other.close()
 
 
-@pytest.mark.promise("PLC-1", "PLC-5")
-async def test_what_is_cancelled_before_it_has_begun_has_an_end() -> None:
-    """A call and its cancellation in one message: who waits is told, and nothing is left."""
+@contextlib.contextmanager
+def living_child(component: object) -> Iterator[tuple[Wire, Child]]:
+    """Let a component live as in a child, but in a thread; the other end is the robot's."""
     mine, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    robot, begun = Wire(mine), []
-    made: list[Child] = []
+    robot, made = Wire(mine), queue.Queue[Child]()
+
+    def live() -> None:
+        child = Child(Wire(its))
+        child.component = component
+        made.put(child)
+        child.loop.run_forever()
+
+    thread = threading.Thread(target=live)
+    thread.start()
+    child = made.get()
+    yield robot, child
+    child.loop.call_soon_threadsafe(child.loop.stop)
+    robot.send(Op.GO, 1.0)  # the turn in which it stops
+    thread.join()
+    child.loop.close()
+    robot.close()
+    its.close()
+
+
+@pytest.mark.promise("PLC-1", "PLC-5")
+def test_what_is_cancelled_before_it_has_begun_has_an_end() -> None:
+    """A call and its cancellation in one message: who waits is told, and nothing is left."""
+    begun: list[int] = []
 
     class Component:
         async def run(self) -> None:
             begun.append(1)
 
-    def live() -> None:
-        child = Child(Wire(its))
-        child.component = Component()
-        made.append(child)
-        child.loop.run_forever()
-
-    thread = threading.Thread(target=live)
-    thread.start()
     call, cancel = Item(Op.CALL, 7, "run", b""), Item(Op.CANCEL, 7, "", b"")
-    robot.send(Op.GO, 1.0, [call, cancel])
-    message = await asyncio.to_thread(robot.receive)
-    (child,) = made
-    child.loop.call_soon_threadsafe(child.loop.stop)
-    robot.send(Op.GO, 1.0)  # the turn in which it stops
-    await asyncio.to_thread(thread.join)
+    with living_child(Component()) as (robot, child):
+        robot.send(Op.GO, 1.0, [call, cancel])
+        message = robot.receive()
     assert message is not None
     (told,) = message[2]
     assert (told.op, told.number, begun) == (Op.FAIL, 7, [])
     assert isinstance(child.opened(told)[1], asyncio.CancelledError)
     assert not child.tasks
     assert not child.owner.living()
-    child.loop.close()
-    robot.close()
-    its.close()
+
+
+@pytest.mark.promise("PLC-1")
+def test_a_request_that_is_over_may_be_withdrawn(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Its end and its withdrawal may pass each other on the way: nobody minds."""
+    with living_child(object()) as (robot, _):
+        robot.send(Op.GO, 1.0, [Item(Op.WITHDRAWN, 5, "", b"")])
+        assert robot.receive() == (Op.IDLE, math.inf, [])
+    assert not caplog.records

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextvars
+import gc
 import os
 import time
 from collections.abc import Callable
@@ -19,6 +21,7 @@ from tests.placement.parts import (
     Docking,
     Drive,
     Loaded,
+    OneByOne,
     Pusher,
     SmallAvoid,
     SmallSonar,
@@ -146,6 +149,30 @@ async def test_asks_are_answered_from_a_process(kind: type[Any]) -> None:
         answer = await robot.behaviors.ask(Dock(3), sender="user", receiver="docking")
     assert answer == Docked(3)
     assert type(answer) is Docked
+
+
+@pytest.mark.promise("PLC-1", "PLC-4")
+async def test_a_loop_for_each_request_leaves_nothing_in_the_robot() -> None:
+    """A behavior may begin loops for as long as the robot lives."""
+
+    def kept() -> int:
+        gc.collect()
+        kinds = (contextvars.Context, Dock)
+        return sum(isinstance(each, kinds) for each in gc.get_objects())
+
+    async with esair.Robot(behaviors=[OneByOne(name="docking")]) as robot:
+
+        async def ask(count: int) -> None:
+            for bay in range(count):
+                asked = robot.behaviors.ask(
+                    Dock(bay), sender="user", receiver="docking"
+                )
+                assert await asked == Docked(bay)
+
+        await ask(5)
+        before = kept()
+        await ask(40)
+        assert kept() - before < 10
 
 
 @pytest.mark.promise("PLC-1", "PLC-5")

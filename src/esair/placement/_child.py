@@ -130,6 +130,8 @@ class Child(Exchange):
         """What ends the work on a request, by its number."""
         self.numbers: Iterator[int] = itertools.count(-1, -1)
         """Of its loops over readings and requests; those of calls are above 0."""
+        self.free: list[int] = []
+        """Of loops over requests that are over."""
         self._heard = time.monotonic()
         self._has_turn = False
         self._of_others: set[int] = set()  # the calls that other behaviors answer
@@ -279,7 +281,7 @@ class Child(Exchange):
             self._cancel(number)
         elif op == Op.NEWS:
             self._news[number](self.unpack(data))
-        elif op == Op.WITHDRAWN:
+        elif op == Op.WITHDRAWN and number in self.orders:  # it may be over by now
             self.orders[number]()
 
     def _begin(self, number: int, verb: str, data: bytes) -> None:

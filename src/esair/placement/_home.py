@@ -307,12 +307,18 @@ class Loop(AsyncIterator[Any]):
     def __init__(self, child: Child, attribute: str) -> None:
         self._child = child
         self._attribute = attribute
-        self._number = next(child.numbers)
+        # What the robot keeps for a loop goes to the next one: some begin one each second.
+        self._number = child.free.pop() if child.free else next(child.numbers)
+        self._verb = "first_order"
+
+    def __del__(self) -> None:
+        self._child.free.append(self._number)
 
     async def __anext__(self) -> Any:
         """Wait for the next request."""
         child = self._child
-        called = f"next_order {self._attribute}"
+        called = f"{self._verb} {self._attribute}"
+        self._verb = "next_order"
         number, data, sender = await child.call(called, self._number)
         order = Order(child, number, data, sender, self._number)
         order.serve()

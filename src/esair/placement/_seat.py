@@ -294,8 +294,10 @@ class Seat:
         plain = verbs.plain.get(verb)
         waits: Any = verbs.waits.get(verb)
         context = scopes.get(scope, process.nobodys).copy()
-        if verb == "next_order" and args:  # what it asks for next it does for that
-            context = scopes.setdefault(args[0], context)
+        if verb == "first_order":
+            scopes[args[0]] = context
+        elif verb == "next_order":  # what it asks for next it does for that
+            context = scopes[args[0]]
         if (
             not busy >= 0.0
             or (options is not None and type(options) is not dict)

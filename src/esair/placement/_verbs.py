@@ -195,6 +195,7 @@ class BehaviorVerbs(PortVerbs):
             "halted": self._halted,
             "next": self._next_value,
             "left": self._close_values,
+            "first_order": self._first_order,
             "next_order": self._next_order,
         }
         for name in AWAITED:
@@ -374,17 +375,20 @@ class BehaviorVerbs(PortVerbs):
 
     def _leave(self, number: int, error: bytes | None) -> None:
         left = self._left.pop(number, None)
+        self.orders.pop(number, None)
         if left is not None and not left.done():
             left.set_result(
                 None if error is None else self._seat.lives.unpack_error(error)
             )
 
-    async def _next_order(self, asked: Asked, number: int) -> tuple[int, Any, str]:
+    async def _first_order(self, asked: Asked, number: int) -> tuple[int, Any, str]:
         name, attribute = self._behavior.name, asked.port
         if attribute not in self._behavior.takes:
             raise AccessDeniedError(name, attribute, "take", "not declared")
-        if number not in self._loops:
-            self._loops[number] = aiter(vars(self._behavior)[attribute]), 0
+        self._loops[number] = aiter(vars(self._behavior)[attribute]), 0
+        return await self._next_order(asked, number)
+
+    async def _next_order(self, _: Asked, number: int) -> tuple[int, Any, str]:
         loop, before = self._loops[number]
         self.orders.pop(before, None)
         request = await anext(loop)
