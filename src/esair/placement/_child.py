@@ -129,9 +129,9 @@ class Child(Exchange):
         self.orders: dict[int, Callable[[], object]] = {}
         """What ends the work on a request, by its number."""
         self.numbers: Iterator[int] = itertools.count(-1, -1)
-        """Of its loops over readings and requests; those of calls are above 0."""
+        """Of its loops over requests; those of calls are above 0."""
         self.free: list[int] = []
-        """Of loops over requests that are over."""
+        """Of loops that are over."""
         self._heard = time.monotonic()
         self._has_turn = False
         self._of_others: set[int] = set()  # the calls that other behaviors answer

@@ -252,10 +252,10 @@ class RemotePort:
 
     async def _values(self) -> AsyncGenerator[Any, None]:
         child = self._child
-        number = next(child.numbers)
+        number = await child.call("values", self._key)
         try:
             while True:
-                yield await child.call(f"next {self._key}", number)
+                yield await child.call("next", number)
         finally:
             child.note("left", number)
 
@@ -309,7 +309,7 @@ class Loop(AsyncIterator[Any]):
         self._attribute = attribute
         # What the robot keeps for a loop goes to the next one: some begin one each second.
         self._number = child.free.pop() if child.free else next(child.numbers)
-        self._verb = "first_order"
+        self._is_begun = False
 
     def __del__(self) -> None:
         self._child.free.append(self._number)
@@ -317,9 +317,10 @@ class Loop(AsyncIterator[Any]):
     async def __anext__(self) -> Any:
         """Wait for the next request."""
         child = self._child
-        called = f"{self._verb} {self._attribute}"
-        self._verb = "next_order"
-        number, data, sender = await child.call(called, self._number)
+        if not self._is_begun:
+            self._is_begun = True
+            await child.call("loop", self._number, self._attribute)
+        number, data, sender = await child.call("next_order", self._number)
         order = Order(child, number, data, sender, self._number)
         order.serve()
         return order.handle

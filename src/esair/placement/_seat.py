@@ -294,7 +294,7 @@ class Seat:
         plain = verbs.plain.get(verb)
         waits: Any = verbs.waits.get(verb)
         context = scopes.get(scope, process.nobodys).copy()
-        if verb == "first_order":
+        if verb == "loop":
             scopes[args[0]] = context
         elif verb == "next_order":  # what it asks for next it does for that
             context = scopes[args[0]]

@@ -193,9 +193,10 @@ class BehaviorVerbs(PortVerbs):
             "manage": self._manage,
             "stop": self._stop,
             "halted": self._halted,
-            "next": self._next_value,
+            "values": self._values,
+            "next": lambda _, number: anext(self._streams[number]),
             "left": self._close_values,
-            "first_order": self._first_order,
+            "loop": self._loop,
             "next_order": self._next_order,
         }
         for name in AWAITED:
@@ -289,15 +290,13 @@ class BehaviorVerbs(PortVerbs):
     def _next_stage(self, number: int) -> None:
         wake(next(self._stages.get(number, iter(())), None))
 
-    async def _next_value(self, asked: Asked, number: int) -> Any:
-        if (stream := self._streams.get(number)) is None:
-            stream = aiter(self._find(asked.port, "reading", AWAITED))
-            self._streams[number] = stream
-        return await anext(stream)
+    async def _values(self, _: Asked, key: str) -> int:
+        number = self._next()
+        self._streams[number] = aiter(self._find(key, "reading", AWAITED))
+        return number
 
     async def _close_values(self, _: Asked, number: int) -> None:
-        if (stream := self._streams.pop(number, None)) is not None:
-            await stream.aclose()
+        await self._streams.pop(number).aclose()
 
     # Others.
 
@@ -381,12 +380,12 @@ class BehaviorVerbs(PortVerbs):
                 None if error is None else self._seat.lives.unpack_error(error)
             )
 
-    async def _first_order(self, asked: Asked, number: int) -> tuple[int, Any, str]:
-        name, attribute = self._behavior.name, asked.port
+    async def _loop(self, _: Asked, number: int, attribute: str) -> None:
         if attribute not in self._behavior.takes:
-            raise AccessDeniedError(name, attribute, "take", "not declared")
+            raise AccessDeniedError(
+                self._behavior.name, attribute, "take", "not declared"
+            )
         self._loops[number] = aiter(vars(self._behavior)[attribute]), 0
-        return await self._next_order(asked, number)
 
     async def _next_order(self, _: Asked, number: int) -> tuple[int, Any, str]:
         loop, before = self._loops[number]
