@@ -221,6 +221,21 @@ async def test_a_class_whose_name_is_no_name_is_refused() -> None:
             await robot.behaviors.add(Größe())
 
 
+@pytest.mark.parametrize("said", ["not good!", "", "x" * 64, "Drive", 7])
+async def test_a_name_that_a_class_has_as_an_attribute_is_checked_too(
+    said: Any,
+) -> None:
+    """It does not come by the constructor."""
+    named = type("Named", (Idle,), {"name": said})
+    with pytest.raises(ExceptionGroup) as caught:
+        await esair.Robot(behaviors=[named()]).__aenter__()
+    assert "name: expected a lower-case" in str(caught.value.exceptions[0])
+    async with esair.Robot() as robot:
+        with pytest.raises(esair.ConfigError, match="name: expected a lower-case"):
+            await robot.behaviors.add(named())
+        assert robot.behaviors.names() == []
+
+
 async def test_whatever_error_a_setup_raises_is_named_as_its_failure() -> None:
     """Also one of esair's own."""
     bad = Scripted(for_ever, setup=raises(esair.DeviceLostError("x")), name="a")

@@ -32,6 +32,7 @@ from esair.plan._needs import (
 from esair.plan._plan import Finding, Plan, because, mistake, name_of, warning
 from esair.plan._protection import unprotected
 from esair.resources import Actuator, Resource, Sensor
+from esair.values import check_party
 
 if TYPE_CHECKING:
     from esair.buses import Bus
@@ -125,7 +126,8 @@ def wrong_kind(component: object, *, resource: bool) -> Finding | None:
         return mistake("declaration", component, "", told, of=of)
     assert isinstance(component, Component)
     try:
-        if component.name == OPERATOR:
+        # Also one that its class has as an attribute, past the constructor.
+        if check_party(component._kind, component.name) == OPERATOR:  # noqa: SLF001 - its base class's
             told = "this is the name in which people act: choose another name="
             raise ConfigError(component.name, "name", told)
     except EsairError as error:
