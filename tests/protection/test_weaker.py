@@ -73,6 +73,13 @@ def test_less_lies_between_safe_and_the_command_in_each_part(made: Any) -> None:
     assert not is_weaker(0.4, command, safe)
 
 
+def test_beside_a_safe_that_is_no_number_only_the_same_number_passes() -> None:
+    """Nobody knows in which direction an "off" lies."""
+    assert is_weaker(0.37, float("0.37"), "off")
+    for other in (0.36, 0.38, 0.0, -0.37, math.nan):
+        assert not is_weaker(other, 0.37, "off")
+
+
 def test_of_two_commands_each_part_is_taken_that_is_nearer_to_safe(made: Any) -> None:
     """The result is of the same kind, and neither of the two is changed."""
     one, other = made(0.8, -0.1), made(0.3, -0.5)

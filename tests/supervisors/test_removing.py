@@ -359,3 +359,27 @@ async def test_who_goes_without_its_safe_command_is_told(
     told = [each for each in caplog.messages if each.endswith("may move on")]
     assert len(told) == (takes == 0.5)
     assert all(each.startswith("wheels: safe 0.0: NOT ANSWERED") for each in told)
+
+
+async def test_who_waits_for_its_setup_is_told_that_it_was_removed() -> None:
+    """Also if it swallows its cancellation: its setup ends then as if it were well."""
+
+    class Deaf(esair.Behavior):
+        async def setup(self) -> None:
+            try:
+                await asyncio.sleep(10.0)
+            except asyncio.CancelledError:
+                await asyncio.sleep(0.43)
+
+        async def run(self) -> None:
+            """It never comes to that."""
+
+    async with esair.Robot() as robot:
+        adding = asyncio.create_task(robot.behaviors.add(Deaf()))
+        await asyncio.sleep(0.11)
+        removing = asyncio.create_task(robot.behaviors.remove("deaf"))
+        await asyncio.sleep(0.01)
+        assert not removing.done()
+        with pytest.raises(esair.BehaviorRemovedError):
+            await adding
+        await removing

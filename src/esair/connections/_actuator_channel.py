@@ -324,15 +324,13 @@ class ActuatorChannel(Device):
         else:
             command = ready
         wire = self.wire
+        # Late: between this look and the driver only guards take time.
+        if expires is not None and (late := self._lateness(expires)) > 0.0:
+            return self._expired(registration, late)
         if wire.lane is not None or self.safe.state is not IDLE:
-            if expires is not None and (late := self._lateness(expires)) > 0.0:
-                return self._expired(registration, late)
             return self._when_idle(registration, command, hold, expires)
         if wire.slews or wire.watch is not None:
             command = self._bounded(command, now)
-        # Last: between this look and the driver only guards take time.
-        if expires is not None and (late := self._lateness(expires)) > 0.0:
-            return self._expired(registration, late)
         # `Hold` takes it here, in place.  # hot
         if holder is not registration or now + REACHED >= held.begun + held.seconds:
             held.since = now

@@ -124,7 +124,7 @@ class Protection:
     @property
     def is_muted(self) -> bool:
         """Whether it lets everything pass now, by the user's will."""
-        return self.muted_until > 0.0 and _now() + REACHED < self.muted_until
+        return bool(self.muted_until) and _now() + REACHED < self.muted_until
 
     def inherit(self, before: Protection) -> None:
         """Keep what only the user may end: the latch of what it takes the place of."""

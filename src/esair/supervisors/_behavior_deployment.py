@@ -385,7 +385,7 @@ class BehaviorDeployment:
         members = self.members.values()
         states = {m.mail.state for m in members if isinstance(m.action, Behavior)}
         over = {BehaviorState.FINISHED, BehaviorState.FAILED, BehaviorState.REMOVED}
-        if states & over and states <= over | {BehaviorState.RESTING}:
+        if states & over and not states - over - {BehaviorState.RESTING}:
             self._all_ended.set_result(None)
 
     def essential_failed(self, failed: BehaviorFailedError) -> None:
