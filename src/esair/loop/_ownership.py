@@ -105,8 +105,9 @@ def spawn(
         context = (begins or tasks.script).copy()
     if owner is None:
         return asyncio.Task(coroutine, loop=loop, name=name, context=context)
+    context.run(_owner.set, owner)  # hot: as `Owner.own`
     number = next(tasks.numbers)
-    task = Task(number, coroutine, loop=loop, name=name, context=owner.own(context))
+    task = Task(number, coroutine, loop=loop, name=name, context=context)
     owner.adopt(task, leaves=leaves)
     return task
 

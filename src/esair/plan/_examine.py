@@ -126,10 +126,12 @@ def wrong_kind(component: object, *, resource: bool) -> Finding | None:
         return mistake("declaration", component, "", told, of=of)
     assert isinstance(component, Component)
     try:
-        # Also one that its class has as an attribute, past the constructor.
-        if check_party(component._kind, component.name) == OPERATOR:  # noqa: SLF001 - its base class's
+        name = component.name
+        if name != component._name:  # noqa: SLF001 - its class has it as an attribute
+            check_party(component._kind, name)  # noqa: SLF001 - its base class's
+        if name == OPERATOR:
             told = "this is the name in which people act: choose another name="
-            raise ConfigError(component.name, "name", told)
+            raise ConfigError(name, "name", told)
     except EsairError as error:
         return because("name", component, error)
     return None
