@@ -141,6 +141,25 @@ async def test_what_was_overtaken_moves_nothing() -> None:
             assert len(pair.wheels.commands) - 1 == moved
 
 
+@pytest.mark.promise("NET-3", "NET-4")
+async def test_what_comes_twice_is_taken_once() -> None:
+    """While a peer was silent everything is said on all ways: the first copy counts."""
+    pair = Pair()
+    async with pair.both():
+        bus, late = pair.to_rover, pair.to_rover.stats.late
+        pair.docking.go.set()
+        for what, part in (("ask", Dock(7)), ("write", Twist(0.5, 0.0))):
+            name = "docking" if what == "ask" else "wheels"
+            head = Head(bus._its_run, bus._its_beat, bus._run, bus._beats, 0.0)
+            data = packed(head, (1, name, part), bus.kinds)
+            for _ in range(3):
+                pair.network.inject("rover", "base", what, data)
+                await asyncio.sleep(0.01)
+        assert pair.docking.begun == [7]
+        assert pair.wheels.commands.count(Twist(0.5, 0.0)) == 1
+        assert bus.stats.late == late + 4
+
+
 @pytest.mark.promise("NET-4")
 async def test_what_waits_behind_a_write_does_not_leave_after_a_gap() -> None:
     """A second command waits while the first has no answer; a gap ends both."""

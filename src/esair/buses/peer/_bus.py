@@ -100,7 +100,10 @@ class PeerBus(Bus):
         self._beats = 0
         self._its_run = self._its_beat = 0
         self._over: collections.deque[int] = collections.deque(maxlen=8)
-        self._heard_at = self._beat_at = NEVER
+        self.heard_at: float = NEVER
+        """When the newest beat was sent that it has echoed, by the clock of the loop."""
+        self._beat_at = NEVER
+        self._taken: collections.deque[int] = collections.deque(maxlen=_KEPT)
         self._gap, self._gap_at = 0.0, 0  # the last one, and the own beat at its end
         self._alive = asyncio.Event()
         self._beating: asyncio.Task[None] | None = None
@@ -157,7 +160,7 @@ class PeerBus(Bus):
             self._beats += 1
             self._sent.append(loop.time())
             self.say("beat")
-            silent = loop.time() - self._heard_at
+            silent = loop.time() - self.heard_at
             if self._alive.is_set() and silent > SILENCE:
                 self._gone(f"no echo of a beat for {silent:.2g} s")
             elif self.is_open and self._beats % _FOLLOW_AGAIN == 0:
@@ -198,16 +201,16 @@ class PeerBus(Bus):
 
     # What comes.
 
-    def came(self, what: str, data: bytes) -> None:
-        """Take a message of the peer; in the loop."""
+    def came(self, what: str, data: bytes) -> bool:
+        """Take a message of the peer; in the loop. Tell whether it is a new one."""
         found = head_of(data) if what in FORMS else None
         if found is None:
             self.stats.bad_frames += 1
-            return
+            return False
         head, body = found
         if head.run in self._over:
             self.stats.late += 1
-            return
+            return False
         now = asyncio.get_running_loop().time()
         self.stats.received += 1
         if head.run != self._its_run:
@@ -215,10 +218,11 @@ class PeerBus(Bus):
             self._its_run, self._its_beat = head.run, -1
             if self._alive.is_set():
                 self._gone("it has restarted")
-        if head.beat < self._its_beat:
-            self.stats.late += 1  # it was overtaken on another way
-            return
+        if head.beat < self._its_beat or (it := hash((what, data))) in self._taken:
+            self.stats.late += 1  # it was overtaken, or has come, on another way
+            return False
         if head.beat > self._its_beat:
+            self._taken.clear()
             silent = now - self._beat_at
             if self._alive.is_set():
                 self._over_gap(silent)
@@ -231,23 +235,25 @@ class PeerBus(Bus):
             self.stats.bad_frames += 1
             self._beats = head.echo
             self._sent.clear()
+        self._taken.append(it)
         since = self._since(head)
         if since > NEVER:
             self.round_trip = max(0.0, now - since - head.held)
-            self._heard_at = max(self._heard_at, since)
+            self.heard_at = max(self.heard_at, since)
         if what == "bye":
             self._over.append(head.run)
             self._its_run = 0
             self._gone("it has ended")
-            return
+            return True
         if not self._alive.is_set():
             # Both ways are there only when the peer echoes what was sent just now.
             if now - since > SILENCE:
-                return
+                return True
             self._alive.set()
             self.arrived()
         if what != "beat":
             self._take(what, since, since + head.held, body)
+        return True
 
     def _since(self, head: Head) -> float:
         """Return when the beat was sent that a message echoes; long ago if not known."""
