@@ -30,7 +30,8 @@ def speak_once() -> None:
         Network(me="other", peers=["one"], connect=[end]),
     ):
         config = zenoh.Config()
-        for key, value in network.settings().items():
+        ends = {"listen": network.listen, "connect": network.connect}
+        for key, value in network.settings(**ends).items():
             config.insert_json5(key, json.dumps(value))
         sessions.append(zenoh.open(config))
     heard = threading.Event()

@@ -7,6 +7,7 @@ import contextlib
 import itertools
 import shutil
 import statistics
+import threading
 import time
 from collections.abc import Container
 from pathlib import Path
@@ -17,7 +18,7 @@ from tests.net.certificates import certify, tls
 from tests.net.parts import Dock, Docking, Hand, Pair, Twist, free_port
 
 import esair
-from esair.buses.peer import Network, PeerBus
+from esair.buses.peer import Network, PeerBus, _line
 
 pytest.importorskip("zenoh")
 pytestmark = [pytest.mark.real_clock, pytest.mark.xdist_group("zenoh")]
@@ -130,6 +131,7 @@ class Relay:
     """Carries connections to a port; those in `mute` are taken, and never answered.
 
     Of those in `half` who connects hears that it is connected, and that the other one lives.
+    While it is held all are taken, and what they say is carried later.
     """
 
     def __init__(
@@ -139,6 +141,8 @@ class Relay:
         self.mute = mute
         self.half = half
         self.here = free_port()
+        self.goes = asyncio.Event()
+        self.goes.set()
         self.ends: list[list[asyncio.StreamWriter]] = []
         """Of each connection its two ends."""
 
@@ -157,11 +161,20 @@ class Relay:
         for end in self.ends[number]:
             end.transport.abort()
 
+    def open(self) -> list[int]:
+        """Return which connections carry something."""
+        return [
+            number
+            for number, ends in enumerate(self.ends)
+            if len(ends) == 2 and not any(end.is_closing() for end in ends)
+        ]
+
     async def _take(self, reader: Any, writer: Any) -> None:
         number, ends = len(self.ends), [writer]
         self.ends.append(ends)
         if number in self.mute:
             return
+        await self.goes.wait()
         try:
             there, to = await asyncio.open_connection("127.0.0.1", self.port)
         except OSError:
@@ -174,6 +187,7 @@ class Relay:
     async def _carry(self, reader: Any, writer: Any) -> None:
         with contextlib.suppress(OSError):
             while data := await reader.read(1 << 16):
+                await self.goes.wait()
                 writer.write(data)
         writer.close()
 
@@ -186,18 +200,39 @@ class Relay:
         writer.close()
 
 
-def through(relay: Relay) -> Pair:
-    """Put a pair on a network whose connections a relay carries; a try takes long."""
-    base = Network(me="base", peers=["rover"], listen=[f"tcp/127.0.0.1:{relay.port}"])
-    end = f"tcp/127.0.0.1:{relay.here}"
-    rover = Network(me="rover", peers=["base"], connect=[end], connect_timeout=5.0)
+def through(relay: Relay, certificates: Path | None = None) -> Pair:
+    """Put a pair on a network whose connections a relay carries."""
+    kind = "tcp" if certificates is None else "tls"
+    base, rover = (
+        Network(
+            me=me,
+            peers=[peer],
+            listen=[f"{kind}/127.0.0.1:{relay.port}"] if me == "base" else (),
+            connect=[f"{kind}/127.0.0.1:{relay.here}"] if me == "rover" else (),
+            tls=None if certificates is None else tls(certificates, me),
+        )
+        for me, peer in (("base", "rover"), ("rover", "base"))
+    )
     return over(Pair(), base, rover)
 
 
+async def again(hand: Hand, within: float) -> float:
+    """Wait until a command is taken; return how long that took."""
+    begin = time.monotonic()
+    while time.monotonic() - begin < within:
+        with contextlib.suppress(esair.EsairError):
+            if await hand.wheels.write(Twist(0.1, 0.0)):
+                break
+        await asyncio.sleep(0.01)
+    return time.monotonic() - begin
+
+
 @pytest.mark.promise("NET-3")
-@pytest.mark.parametrize("wrong", [{"mute": {0}}, {"half": {0}}], ids=["mute", "half"])
+@pytest.mark.parametrize(
+    "wrong", [{"mute": range(3)}, {"half": range(3)}], ids=["mute", "half"]
+)
 async def test_a_try_that_fails_holds_nobody_up(wrong: dict[str, Any]) -> None:
-    """Half a connection stays: zenoh does not know. There is another one beside it."""
+    """Half a connection stays: zenoh does not know. There are others beside it."""
     async with Relay(free_port(), **wrong) as relay:
         pair, hand = through(relay), Hand()
         async with pair.base(), pair.rover(hand) as robot:
@@ -208,17 +243,56 @@ async def test_a_try_that_fails_holds_nobody_up(wrong: dict[str, Any]) -> None:
 
 @pytest.mark.promise("NET-3")
 @pytest.mark.parametrize("cut", [0, 1])
-async def test_a_connection_that_breaks_has_another_one_beside_it(cut: int) -> None:
-    """Of two that one is used which stands, also when no new one is to be had."""
-    async with Relay(free_port(), mute=range(2, 100)) as relay:
+async def test_a_connection_that_breaks_has_another_one_beside_it(
+    cut: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two stay when all is well, and one is enough, also when no new one is to be had."""
+    monkeypatch.setattr(_line, "_CLOSED", 1.2)
+    async with Relay(free_port()) as relay:
         pair, hand = through(relay), Hand()
         async with pair.base(), pair.rover(hand) as robot:
             await use(pair, hand, robot)
-            await asyncio.sleep(0.5)
-            assert len(relay.ends) == 2
-            relay.cut(cut)
+            await asyncio.sleep(2.0)
+            two = relay.open()
+            assert len(two) == 2
+            relay.mute = range(len(relay.ends), 1000)
+            relay.cut(two[cut])
+            await asyncio.sleep(0.05)
+            assert await again(hand, 2.0) < 1.0
             await asyncio.sleep(1.5)  # longer than a peer may be silent
             await use(pair, hand, robot)
+
+
+@pytest.mark.promise("NET-3")
+@pytest.mark.parametrize("seconds", [0.6, 3.0])
+async def test_a_peer_that_was_stopped_has_little_to_refuse(
+    certificates: Path, seconds: float
+) -> None:
+    """It takes what was begun meanwhile, one after the other, before anything new."""
+    async with Relay(free_port()) as relay:
+        pair, hand = through(relay, certificates), Hand()
+        async with pair.base(), pair.rover(hand) as robot:
+            await use(pair, hand, robot)
+            relay.goes.clear()
+            await asyncio.sleep(seconds)
+            relay.goes.set()
+            assert await again(hand, 10.0) < 1.0
+
+
+async def test_nothing_is_left_of_ways_that_nobody_answers() -> None:
+    """Each is closed when its try is over, and the robot does not wait for that."""
+    before = threading.active_count()
+    async with Relay(free_port()) as relay:
+        relay.goes.clear()
+        pair = through(relay)
+        async with pair.rover():
+            await asyncio.sleep(0.5)
+            assert len(relay.ends) > 2
+            begin = time.monotonic()
+        assert time.monotonic() - begin < 1.0
+        await asyncio.sleep(1.5)
+        assert threading.active_count() <= before
+        relay.goes.set()
 
 
 @pytest.mark.promise("NET-1", "NET-5")

@@ -8,11 +8,14 @@ rest where it comes in.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import logging
 import os
 import re
 import threading
+import time
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -20,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Final
 import attrs
 
 from esair.buses._opening import open_on, shut_on
+from esair.buses.peer._line import PAUSE, Line, close_all
 from esair.buses.peer._wire import LIMIT, key_of
 from esair.exceptions import ConfigError, DeviceLostError, EsairError, describe
 from esair.loop import Door, spawn
@@ -38,9 +42,12 @@ _WAITING: Final = 512
 
 _OPENING: Final = 1.5  # how long a session may take to open, in seconds
 
+_SILENT: Final = 0.2
+"""So long after the last echo, and the way of it, new ways are looked for, in seconds."""
+
 _THREADS: Final = "".join(
     f"{name}: (worker_threads: {count}), "
-    for name, count in (("rx", 6), ("tx", 2), ("net", 2), ("acc", 2))
+    for name, count in (("rx", 8), ("tx", 2), ("net", 8), ("acc", 4))
 )
 """Threads of zenoh. It closes a socket with a wait for what is sent: after a cut, that holds
 one of them up for seconds, and those that share it."""
@@ -66,17 +73,70 @@ class Tls:
     key: Path
 
 
-def _retry(pause: int) -> dict[str, int]:
-    return {"period_init_ms": pause, "period_max_ms": pause}
+class _Session:
+    """A session of zenoh: the one that listens, or a way to an endpoint."""
+
+    def __init__(self, network: Network, line: Line | None, **endpoints: Any) -> None:
+        import zenoh
+
+        self.line = line
+        self.heard = 0.0
+        """When something has come by it."""
+        config = zenoh.Config()
+        for key, value in network.settings(**endpoints).items():
+            config.insert_json5(key, json.dumps(value))
+        self._session: Any = zenoh.open(config)
+        self._drop = zenoh.CongestionControl.DROP
+        self._error = zenoh.ZError
+        self._key = key_of(network.me, "*", "*")
+        self._come = partial(network.come, self)
+        self._hearing: Any = None
+        self.hear(True)
+
+    def close(self) -> None:
+        """End it; one that tries to connect ends when its try is over."""
+        self._session.close()
+
+    def say(self, key: str, data: bytes) -> None:
+        """Say something; what cannot be sent now is dropped."""
+        with contextlib.suppress(self._error):  # it was just closed
+            self._session.put(key, data, congestion_control=self._drop, express=True)
+
+    def hear(self, wanted: bool) -> None:
+        """Hear what is said to this robot, or no more."""
+        if not wanted and self._hearing is not None:
+            self._hearing.undeclare()
+            self._hearing = None
+        elif wanted and self._hearing is None:
+            self._hearing = self._session.declare_subscriber(self._key, self._come)
 
 
-def _close(ways: list[Any]) -> None:
-    """Close each at once: one that tries to connect waits until its try is over."""
-    closing = [threading.Thread(target=way.close, daemon=True) for way in ways]
-    for each in closing:
-        each.start()
-    for each in closing:
-        each.join()
+class _Peer:
+    """How a peer is reached.
+
+    Attributes:
+        by: By which way it was heard first the last time.
+        silent: Whether it is not heard.
+    """
+
+    def __init__(self, bus: PeerBus) -> None:
+        self.bus = bus
+        self.door = Door.of(asyncio.get_running_loop())
+        self.room = threading.BoundedSemaphore(_WAITING)
+        self.by: _Session | None = None
+        self.silent = False
+
+    def take(self, way: _Session, what: str, data: bytes) -> None:
+        """Take what has come by a way; in the loop."""
+        self.room.release()
+        way.heard, line = time.monotonic(), way.line
+        is_new = self.bus.came(what, data)
+        if line is None:
+            self.by = way
+            return
+        line.peers.add(self.bus.name)
+        if is_new and way in line.ways:
+            self.by = line.best = way
 
 
 def _paths(endpoints: Any) -> tuple[str, ...]:
@@ -87,8 +147,9 @@ def _paths(endpoints: Any) -> tuple[str, ...]:
 class Network:
     """How a robot reaches its peers; the buses to all of them share it.
 
-    The side that connects has two ways, each a session of zenoh, and uses the one that is up:
-    where packets are lost a single one takes as long as TCP takes to repeat them.
+    The side that connects has two ways to each endpoint, each a session of zenoh, and uses
+    one of them. While a peer is silent more are opened, and until half a second after that
+    everything is said on all of them: what comes first is taken.
 
     Attributes:
         me: The name of this robot on the network.
@@ -98,8 +159,7 @@ class Network:
         tls: The certificates; without them endpoints have to be on this machine.
         insecure: Endpoints elsewhere without certificates: everybody who gets there can
             read and say everything.
-        connect_timeout: How long one try to connect may take, in seconds: it has to be five
-            times the way there and back, and after a cut that is how long it takes.
+        connect_timeout: How long a first packet and its answer may take, in seconds.
     """
 
     me: str
@@ -109,10 +169,12 @@ class Network:
     tls: Tls | None = None
     insecure: bool = False
     connect_timeout: float = attrs.field(default=0.2, converter=float)
-    _users: set[str] = attrs.field(factory=set, init=False)
-    _ways: list[Any] = attrs.field(factory=list, init=False)
+    _users: dict[str, _Peer] = attrs.field(factory=dict, init=False)
+    _session: _Session | None = attrs.field(default=None, init=False)
+    _lines: tuple[Line, ...] = attrs.field(default=(), init=False)
+    _keeper: threading.Thread | None = attrs.field(default=None, init=False)
+    _wake: threading.Event = attrs.field(factory=threading.Event, init=False)
     _opening: asyncio.Task[Any] | None = attrs.field(default=None, init=False)
-    _heard: dict[str, list[Any]] = attrs.field(factory=dict, init=False)
 
     def __attrs_post_init__(self) -> None:
         for name in (self.me, *self.peers):
@@ -155,8 +217,8 @@ class Network:
             DeviceLostError: The network cannot be had: a port is in use.
         """
         loop = asyncio.get_running_loop()
-        self._users.add(bus.name)
-        if not self._ways and self._opening is None:
+        self._users[bus.name] = peer = _Peer(bus)
+        if self._session is None and self._opening is None:
             if self.insecure and self.tls is None:
                 told = "network: insecure: everybody who reaches it can drive %s"
                 _log.warning(told, self.me)
@@ -164,91 +226,104 @@ class Network:
         if (opening := self._opening) is not None:
             await asyncio.wait({opening})
             opening.result()
-        import zenoh  # it is there: the session is open
-
-        ways, name = list(self._ways), bus.name
-        beats, mine = key_of(name, self.me, "beat"), 0  # the way that is used
-        publishers = [way.declare_publisher(beats) for way in ways]
-        door, tag = Door.of(loop), ("peer", name)
-        room = threading.BoundedSemaphore(_WAITING)
-
-        def take(what: str, data: bytes) -> None:
-            room.release()
-            bus.came(what, data)
-
-        def greet() -> None:
-            room.release()
-            bus.say("beat")
-
-        def come(sample: Any) -> None:  # on a thread of zenoh
-            payload = sample.payload
-            if len(payload) > LIMIT or not room.acquire(blocking=False):
-                bus.stats.dropped += 1
-                return
-            what = str(sample.key_expr).rpartition("/")[2]
-            door.tell(tag, take, what, payload.to_bytes())
-
-        def hear() -> Any:
-            return ways[mine].declare_subscriber(key_of(self.me, name, "*"), come)
-
-        def meets(way: int) -> bool:  # what is told of it comes later than it is so
-            return bool(publishers[way].matching_status.matching)
 
         def send(what: str, data: bytes) -> None:
-            nonlocal mine
-            if what == "beat" and not meets(mine):
-                mine, before = next(filter(meets, range(len(ways))), mine), mine
-                if mine != before:
-                    heard.pop().undeclare()
-                    heard.append(hear())
-            drop = zenoh.CongestionControl.DROP
-            key = key_of(name, self.me, what)
-            ways[mine].put(key, data, congestion_control=drop, express=True)
+            if what == "beat":
+                trip = min(bus.round_trip, 1.0)
+                is_silent = loop.time() - bus.heard_at > _SILENT + trip
+                if is_silent is not peer.silent:
+                    peer.silent = is_silent
+                    self._look()
+            key = key_of(bus.name, self.me, what)
+            for way in self._ways(peer):
+                way.say(key, data)
 
-        def meet(status: Any) -> None:  # on a thread of zenoh
-            if status.matching and room.acquire(blocking=False):
-                door.tell(tag, greet)  # what is said now gets there
-
-        for each in publishers:
-            each.declare_matching_listener(meet)
-        self._heard[name] = heard = [*publishers, hear()]
         return send
+
+    def _ways(self, peer: _Peer) -> Iterable[Any]:
+        """Return by which ways it is spoken to."""
+        by = peer.by
+        if by and not peer.silent and not (by.line and by.line.restless):
+            return (by,)
+        lines = (each for each in self._lines if each.leads_to(peer.bus.name))
+        return (self._session, *(way for line in lines for way in line.ways))
+
+    def _look(self) -> None:
+        """Let each line know whether somebody there is silent."""
+        silent = [name for name, each in self._users.items() if each.silent]
+        for line in self._lines:
+            line.silent = any(map(line.leads_to, silent))
+        self._wake.set()
+
+    def come(self, way: _Session, sample: Any) -> None:
+        """Bring to the loop what has come, on a thread of zenoh."""
+        *_, sender, what = str(sample.key_expr).split("/")
+        if (peer := self._users.get(sender)) is None:
+            return
+        payload = sample.payload
+        if len(payload) > LIMIT or not peer.room.acquire(blocking=False):
+            peer.bus.stats.dropped += 1
+            return
+        peer.door.tell(("peer", sender), peer.take, way, what, payload.to_bytes())
 
     async def leave(self, bus: PeerBus) -> None:
         """Hear no more of a peer; with the last one the network is closed."""
-        self._users.discard(bus.name)
-        declared = self._heard.pop(bus.name, ())
-        if self._users:
-            for each in declared:
-                each.undeclare()
+        self._users.pop(bus.name, None)
+        self._look()
+        if self._users or (session := self._session) is None:
             return
-        ways, self._ways = self._ways, []
-        if ways:
-            await shut_on(bus.executor, partial(_close, ways), timeout=0.5)
-            await bus.executor.join(timeout=0.1)
+        self._session = None
+        lines, self._lines = self._lines, ()
+        keeper = self._keeper
+
+        def shut() -> None:
+            if keeper is not None:
+                keeper.join()
+            ways = (way for line in lines for way in line.end())
+            for thread in close_all((session, *ways)):
+                thread.join()
+
+        self._wake.set()
+        await shut_on(bus.executor, shut, timeout=0.5)
+        await bus.executor.join(timeout=0.1)
+
+    def _keep(self) -> None:
+        """Look after the lines, on a thread of its own, until there are none."""
+        while lines := self._lines:
+            self._wake.clear()
+            goes_on = False
+            for line in lines:
+                try:
+                    goes_on |= line.step(time.monotonic())
+                except Exception:  # no more threads, or files
+                    goes_on = True
+                    _log.debug("network: no new ways", exc_info=True)
+            if goes_on:
+                time.sleep(PAUSE)
+            else:
+                self._wake.wait()
+
+    def _line(self, endpoint: str) -> Line:
+        found = _ENDPOINT.fullmatch(endpoint)
+        assert found is not None
+        return Line(
+            *(found[2].strip("[]"), int(found[3]), self.connect_timeout),
+            lambda line: _Session(self, line, connect=(endpoint,)),
+        )
 
     async def _open(self, bus: PeerBus) -> None:
         try:
             os.environ.setdefault("ZENOH_RUNTIME", f"({_THREADS})")  # it is read once
-            import zenoh
-
-            def made() -> list[Any]:
-                # The second way tries beside the first one and not after it: a try whose
-                # packet is lost holds nothing up.
-                told, ways = self.settings(), list[Any]()
-                second = told | {"listen/endpoints": [], "connect/retry": _retry(100)}
-                try:
-                    for each in (told, second) if self.connect else (told,):
-                        config = zenoh.Config()
-                        for key, value in each.items():
-                            config.insert_json5(key, json.dumps(value))
-                        ways.append(zenoh.open(config))
-                except BaseException:
-                    _close(ways)
-                    raise
-                return ways
-
-            self._ways = await open_on(bus.executor, made, _close, timeout=_OPENING)
+            made = partial(_Session, self, None, listen=self.listen)
+            self._session = await open_on(
+                bus.executor, made, _Session.close, timeout=_OPENING
+            )
+            self._lines = tuple(map(self._line, self.connect))
+            if self._lines:
+                self._keeper = threading.Thread(
+                    target=self._keep, name=f"{self.me}'s ways", daemon=True
+                )
+                self._keeper.start()
         except ImportError as error:
             told = "zenoh is not installed: pip install 'esair[net]'"
             raise ConfigError(bus.name, "network", told) from error
@@ -259,24 +334,24 @@ class Network:
         finally:
             self._opening = None
 
-    def settings(self) -> dict[str, Any]:
-        """Return what zenoh is told, by the names of its configuration."""
+    def settings(
+        self, *, listen: Iterable[str] = (), connect: Iterable[str] = ()
+    ) -> dict[str, Any]:
+        """Return what zenoh is told for a session, by the names of its configuration."""
         told: dict[str, Any] = {
             "mode": "peer",
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": False,
-            "listen/endpoints": self.listen,
-            "connect/endpoints": self.connect,
+            "listen/endpoints": listen,
+            "connect/endpoints": connect,
             "scouting/delay": 0,
             "connect/timeout_ms": -1,  # for ever, in the background
             "connect/exit_on_failure": False,
-            "connect/retry": _retry(20),
+            # A way is tried again where its peer has ended it; else new ones are opened.
+            "connect/retry": {"period_init_ms": 1000, "period_max_ms": 8000},
             "transport/shared_memory/enabled": False,
             "transport/link/protocols": ["tcp" if self.tls is None else "tls"],
-            # A way that a cut has broken is made anew: TCP alone would wait ever longer,
-            # and for a connection that it begins in the cut a whole second.
-            "transport/link/tx/lease": 300,
-            "transport/unicast/open_timeout": round(1000 * self.connect_timeout),
+            "transport/unicast/open_timeout": round(5000 * self.connect_timeout),
         }
         if self.tls is None:
             return told
@@ -304,6 +379,7 @@ class Network:
     def _rules(self, peer: str) -> list[dict[str, Any]]:
         """Return which keys are open to the certificate of a peer; all others are shut."""
         said, heard = key_of(self.me, peer, "*"), key_of(peer, self.me, "*")
+        mine, its = key_of(self.me, "*", "*"), key_of(peer, "*", "*")
         return [
             {
                 "id": f"{peer} {flow} {kind}",
@@ -314,8 +390,8 @@ class Network:
             }
             for flow, kind, key in (
                 ("ingress", "put", said),
-                ("ingress", "declare_subscriber", heard),
+                ("ingress", "declare_subscriber", its),
                 ("egress", "put", heard),
-                ("egress", "declare_subscriber", said),
+                ("egress", "declare_subscriber", mine),
             )
         ]
