@@ -222,6 +222,13 @@ class Way(threading.Thread):
                     with contextlib.suppress(OSError):
                         os.write(self._ends[1 - number], packet)
 
+    def tell(self) -> None:
+        """Print how each connection is: what it waits for, and since when."""
+        for name in self.names:
+            told = ["ip", "netns", "exec", name, "ss", "-tinoa"]
+            shown = subprocess.run(told, capture_output=True, text=True, check=False)
+            sys.stderr.write(f"{name}:\n{shown.stdout}\n")
+
 
 class Robots:
     """The two processes, and what they have told."""
@@ -334,7 +341,10 @@ def cuts(
                 if stopped is not None:
                     stopped.send_signal(signal.SIGCONT)
                 way.cut = set()
-                fresh = robots.fresh(healed, 15.0)
+                fresh = robots.fresh(healed, 0.5 + healed - time.monotonic())
+                if fresh is None:
+                    way.tell()
+                    fresh = robots.fresh(healed, 15.0)
                 time.sleep(0.1)
                 yield _judged(robots, kind, begin, healed, fresh)
         finally:

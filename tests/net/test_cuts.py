@@ -33,29 +33,21 @@ def namespaces() -> None:
 
 
 @pytest.mark.usefixtures("namespaces")
-@pytest.mark.parametrize("kind", KINDS)
-def test_cuts(kind: str) -> None:
-    """No old command, safe in time, back by itself: a hundred times each."""
-    found = list(cuts(100, kinds=(kind,)))
+@pytest.mark.parametrize(
+    ("count", "kinds", "delay", "loss"),
+    [
+        *((100, (kind,), 0.005, 0.0) for kind in KINDS),
+        (50, ("cut",), 0.02, 0.02),
+        (100, KINDS, 0.01, 0.05),
+    ],
+    ids=[*KINDS, "far", "bad"],
+)
+def test_cuts(count: int, kinds: tuple[str, ...], delay: float, loss: float) -> None:
+    """No old command, safe in time, soon back by itself: also where packets are lost."""
+    found = list(cuts(count, kinds=kinds, delay=delay, loss=loss))
 
     assert sum(each.old for each in found) == 0
     assert max(each.safe for each in found if each.safe is not None) < TIMEOUT + 0.05
     assert max(each.lost for each in found if each.lost is not None) < LOST
     late = [each for each in found if each.fresh is None or each.fresh > 0.5]
     assert late == []
-
-
-@pytest.mark.usefixtures("namespaces")
-@pytest.mark.parametrize(
-    ("count", "kinds", "delay", "loss"),
-    [(50, ("cut",), 0.02, 0.02), (100, KINDS, 0.01, 0.05)],
-)
-def test_cuts_of_a_bad_way(
-    count: int, kinds: tuple[str, ...], delay: float, loss: float
-) -> None:
-    """With delay and loss it takes as long as TCP takes, and comes back by itself."""
-    found = list(cuts(count, kinds=kinds, delay=delay, loss=loss))
-
-    assert sum(each.old for each in found) == 0
-    assert max(each.safe for each in found if each.safe is not None) < TIMEOUT + 0.05
-    assert all(each.fresh is not None for each in found)
