@@ -710,3 +710,33 @@ async def test_refuse_is_the_word_for_none(answer: Any) -> None:
         await asyncio.sleep(0.5)
         robot.behaviors.reset("closed")
         assert await port.write(1.0)
+
+
+class Small(esair.Reaction):
+    """Lets pass what is small, and refuses the rest."""
+
+    sonar = esair.reads(float)
+    wheels = esair.guards(float)
+
+    def react(self, sonar: float, wheels: float) -> float | None:
+        return wheels if abs(wheels) <= 0.51 else None
+
+
+@pytest.mark.promise("PRO-7")
+async def test_what_is_refused_leaves_nothing_moving() -> None:
+    """Safe is told with the refusal, not with the next reading; the writer keeps the hold."""
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0)
+    driver = user()
+    async with esair.Robot(
+        resources=[ranges(), wheels], behaviors=[driver, Small()]
+    ) as robot:
+        await asyncio.sleep(0.33)
+        assert await driver.wheels.write(0.43)
+        assert wheels.commands[-1] == 0.43
+        refused = await driver.wheels.write(0.87)
+        await asyncio.sleep(0)  # its task begins
+        told = list(wheels.commands)
+        assert not refused
+        assert refused.holder == "small"
+        assert told[-1] == 0.0
+        assert robot.resources.why("wheels").holder == "user"
