@@ -57,7 +57,6 @@ class Deadline:
         "_function",
         "_is_for_once",
         "is_patient",
-        "number",
         "order",
         "place",
         "put_off",
@@ -81,8 +80,7 @@ class Deadline:
         self.order: Order = order
         self.is_patient: bool = is_patient
         """Whether it is put off if the loop was held up."""
-        self.number: int = 0  # that of its place in the heap; 0 if it has none
-        self.place: float = 0  # when it is looked at, in ns
+        self.place: float = NEVER  # when it is looked at, in ns
         self._deadlines = deadlines
         self._function = function
         self._arguments = arguments
@@ -189,7 +187,8 @@ class Deadlines(OfTurn):
     ) -> Deadline:
         """Call a function in some seconds, in the loop."""
         deadline = Deadline(self, function, arguments, is_for_once=True)
-        deadline.start(self.time() + seconds)
+        deadline.when = when = self.time() + seconds
+        self.add(deadline, when)
         return deadline
 
     def at(
@@ -226,7 +225,7 @@ class Deadlines(OfTurn):
     @property
     def waiting(self) -> list[Deadline]:
         """Those that are to be called."""
-        placed = (each for _, number, each in self._heap if number == each.number)
+        placed = (each for place, _, each in self._heap if place == each.place)
         reached = (*self._later, *self._next, *self._ripe)
         return [each for each in (*placed, *reached) if each.moment() < NEVER]
 
@@ -239,15 +238,14 @@ class Deadlines(OfTurn):
         place = on_grid(when)
         if place / SECOND < when:
             place += 1  # called before, who waits for the rest would wait for ever
-        if deadline.number and deadline.place <= place:
+        if deadline.place <= place:
             return
         heap = self._heap
         if len(heap) > self._crowd:
             self._tidy()
             heap = self._heap
-        deadline.number = number = next(self._numbers)
         deadline.place = place
-        heapq.heappush(heap, (place, number, deadline))
+        heapq.heappush(heap, (place, next(self._numbers), deadline))
         if place < self.due:
             self.due = place
             self._turn.want(place)
@@ -258,10 +256,10 @@ class Deadlines(OfTurn):
         self._ripe += self._next
         self._next = self._later
         while heap and heap[0][0] <= reached:
-            _, number, deadline = heapq.heappop(heap)
-            if number != deadline.number:
-                continue  # it has another place
-            deadline.number = 0
+            place, _, deadline = heapq.heappop(heap)
+            if place != deadline.place:
+                continue  # it has another one
+            deadline.place = NEVER
             moment = deadline.moment()
             if moment == NEVER:
                 continue
@@ -291,18 +289,19 @@ class Deadlines(OfTurn):
             moment = each.moment()
             if moment <= reached:
                 contained(self._turn.loop, each.call)
-            elif moment < NEVER and not each.number:  # it was heard of meanwhile
+            elif moment < NEVER and each.place == NEVER:  # it was heard of meanwhile
                 self.add(each, moment)
 
     def _tidy(self) -> None:
         """Forget the places of those that were cancelled, and of earlier moments."""
         left = []
-        for place, number, each in self._heap:
-            if number == each.number:
+        for entry in self._heap:
+            place, _, each = entry
+            if place == each.place:
                 if each.moment() < NEVER:
-                    left.append((place, number, each))
+                    left.append(entry)
                 else:
-                    each.number = 0
+                    each.place = NEVER
         heapq.heapify(left)
         self._heap = left
         self._crowd = max(FEW, 2 * len(left))
