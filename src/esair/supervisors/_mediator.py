@@ -460,7 +460,9 @@ class Mediator(Ledger):
     ) -> None:
         """Hand data to a behavior; see `BehaviorSupervisor.put`."""
         member = self._check(receiver, "interval", interval, data)
-        if self.hand(data, sender, receiver, float(interval)):
+        if member.can_receive:
+            member.deliver(data, sender)
+            self.record("put", sender, receiver, _DELIVERED, data)
             return
         request = Request("put", data, sender, member.senders, by, self)
         self._begin(request, interval)
@@ -658,7 +660,7 @@ class Mediator(Ledger):
             raise
         self.begin(request)
         if limit is not None:
-            deadlines = Deadlines.of(asyncio.get_running_loop())
+            deadlines = Deadlines.of(request.loop)
             request.deadline = deadlines.after(limit, request.expire, limit)
 
 

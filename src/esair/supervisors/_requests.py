@@ -145,6 +145,7 @@ class Request:
         waits: Whether it is there.
         by: The behavior that made it, unless the user did.
         task: The task that waits.
+        loop: Where that runs.
         parent: The request that the asker served when it made this one.
         outer: The request that the peer served already when it took this one.
         how: Its outcome, when it has one.
@@ -184,8 +185,8 @@ class Request:
         self.queue = queue
         self.by = by
         self._ledger = ledger
-        self._loop = asyncio.get_running_loop()
-        self.task: Any | None = current_task_of(self._loop)
+        self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
+        self.task: Any | None = current_task_of(self.loop)
         self.parent: Request | None = served()
 
     @property
@@ -198,8 +199,8 @@ class Request:
     async def outcome(self, progress: Callable[[Any], object] | None = None) -> Any:
         """Wait for the outcome; who is cancelled here withdraws it."""
         try:
-            while not self.over:
-                self._wake = self._loop.create_future()
+            while self.how is None:
+                self._wake = self.loop.create_future()
                 await self._wake
                 while progress is not None and self._news is not _NO_NEWS:
                     news, self._news = self._news, _NO_NEWS
@@ -219,7 +220,7 @@ class Request:
         self, outcome: Outcome, value: Any = None, error: EsairError | None = None
     ) -> bool:
         """Give it its outcome; tells whether it had none yet."""
-        if self.over:
+        if self.how is not None:
             return False
         self.how, self.value, self._error = outcome, value, error
         if self.waits:
@@ -284,7 +285,7 @@ class Request:
             return
         if worker is asyncio.current_task():
             # It did this itself, and must not be hit where it does not wait.
-            self._begins = self._loop.call_soon(self._cancel_worker)
+            self._begins = self.loop.call_soon(self._cancel_worker)
             return
         self._cancels = True
         worker.cancel()
@@ -516,7 +517,7 @@ class Order(Request):
 
     def leave(self, error: BaseException | None) -> bool:
         """The block is left; tells whether its error ends here."""
-        if _is_elsewhere(self._loop):
+        if _is_elsewhere(self.loop):
             return self._in_loop(self._left, error)
         mine = False
         if self._begins is not None:
@@ -578,11 +579,11 @@ class Order(Request):
         return ended
 
     def _in_loop(self, function: Callable[[Any], bool], value: Any) -> bool:
-        if not _is_elsewhere(self._loop):
+        if not _is_elsewhere(self.loop):
             return function(value)
         told: concurrent.futures.Future[bool] = concurrent.futures.Future()
         try:
-            self._loop.call_soon_threadsafe(lambda: told.set_result(function(value)))
+            self.loop.call_soon_threadsafe(lambda: told.set_result(function(value)))
         except RuntimeError:  # the loop is closed: nobody waits any more
             return False
         return told.result()
