@@ -345,7 +345,7 @@ class ActuatorChannel(Device):
         if not self._dead_man.armed:
             self._dead_man.arm()
         guard = self.gate.ticket(registration, expires) if wire.blocks else None
-        sent = wire.send(command, registration.behavior, self._ended, guard)
+        sent = wire.send(command, registration.behavior, guard)
         if sent is not None or wire.applied is not None:
             return self._sent(sent, registration, command, asked, by)
         # Most drivers say nothing.
@@ -374,7 +374,7 @@ class ActuatorChannel(Device):
     ) -> Sent:
         """Return what comes of a command that the driver has."""
         if type(sent) is Call:
-            sent.owner = right
+            sent.owner, sent.apply = right, self._ended
             return Sending(self, sent, right, command, asked, by, self.gate.halts)
         self.writes += 1
         self.wire.took(command, sent)
@@ -422,7 +422,7 @@ class ActuatorChannel(Device):
         if self.stillness.moves:
             self.stillness.disarm()  # that motion is over, and its time-out with it
         guard = self.gate.ticket(registration) if wire.blocks else None
-        sent = wire.send(command, registration.behavior, self._ended, guard)
+        sent = wire.send(command, registration.behavior, guard)
         return self._sent(sent, registration, command, command, None)
 
     def _check_watch(self) -> None:

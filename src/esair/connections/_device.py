@@ -120,6 +120,8 @@ class Operating:
 class Operations:
     """Runs the operations of a device; its caller sees to it that there is one."""
 
+    __slots__ = ("_device", "_loop", "current")
+
     def __init__(self, device: ActuatorChannel | SensorChannel) -> None:
         self._device = device
         self._loop = device.loop

@@ -206,7 +206,8 @@ class Asking:
                 return
             self.busy = False
             if opening == calls.opening:
-                self._publish(value, number)
+                publish = self._publish  # hot
+                publish(value, number)
             else:  # its device was lost by this very call
                 calls.late += 1
         if self._device.operations.current is not None or self.waiting.readers:

@@ -520,8 +520,10 @@ class Stillness:
         told.at = now
         guard = self._gate.ticket(None) if wire.blocks else None
         try:
-            sent = wire.send(less, "", apply, guard)
+            sent = wire.send(less, "", guard)
         except EsairError:
             return  # it is told to those who look after the device
-        if type(sent) is not Call:
+        if type(sent) is Call:
+            sent.apply = apply
+        else:
             wire.took(less, sent)

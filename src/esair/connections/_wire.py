@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import attrs
 
-from esair.connections._calls import Apply, Call, Guard, Method, translate_call
+from esair.connections._calls import Call, Guard, Method, translate_call
 from esair.connections._gate import LastCommand
 from esair.connections._values import CommandCheck
 from esair.exceptions import DeviceLostError, DriverStuckError, EsairError, describe
@@ -149,7 +149,6 @@ class Wire:
         self,
         command: Any,
         behavior: str,
-        apply: Apply,
         guard: Guard | None = None,
     ) -> Any:
         """Hand a motion to the driver, without a wait if that has none.
@@ -157,7 +156,6 @@ class Wire:
         Args:
             command: What has been checked.
             behavior: Whose will it is; empty if it is nobody's.
-            apply: Told the end of a call that goes on.
             guard: What a thread asks just before it calls the driver.
 
         Returns:
@@ -173,14 +171,14 @@ class Wire:
         if self._journal.heard.sent:
             self._journal.publish(Kind.SENT, self._device.name, behavior, command)
         self.lane = _NOW
+        begin = self._begin  # hot
         try:
-            sent = self._begin("write", self.method, (command,), self._deadline, guard)
+            sent = begin("write", self.method, (command,), self._deadline, guard)
         except Exception as error:
             self.lane = None
             failed = self.in_doubt(self.failed(error, "write"), command)
             raise failed from failed.__cause__
         if sent is not None and type(sent) is Call:
-            sent.apply = apply
             self.lane = sent
             told.error = NOT_YET
             return sent
