@@ -211,14 +211,14 @@ class Derivation(ReactionRunner):
         self._is_current = False
         self.clock.step(now)
         stepping = self._stepping
-        stepping.owner = self.owner
+        stepping.runner = self
         try:
             value = self.reaction.react(**senses.by_name())
         except BaseException as error:  # contained: one component's failure
             channel.fail(error)
             return
         finally:
-            stepping.owner = None
+            stepping.runner = None
         if value is None:
             return
         needed = [each for each in senses.inputs if not each.optional]

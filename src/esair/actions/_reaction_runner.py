@@ -203,9 +203,10 @@ class ReactionRunner:
         self.job.waits = self._sampling.waits
 
     def _near(self) -> tuple[object, ...]:
-        senses = self.senses
-        near = [self, self.clock, self._react, self.reaction, senses, senses.values]
-        for each in self.outputs.all.values():
+        senses, outputs = self.senses, self.outputs
+        near = [self, self.clock, self._react, self.reaction]
+        near += [senses, senses.values, outputs]
+        for each in outputs.all.values():
             near += (each, each.registration, each.channel, each.decision)
         return tuple(near)
 
@@ -288,7 +289,7 @@ class ReactionRunner:
         if clock.reaction is not None:
             clock.tell()
         stepping = self._stepping
-        stepping.owner = self.owner
+        stepping.runner = self
         react = self._react  # hot: by itself
         try:
             values = senses.values
@@ -297,14 +298,17 @@ class ReactionRunner:
             self.crash(error)
             return
         finally:
-            stepping.owner = None
+            stepping.runner = None
         if self._until is not None and self._is_over():
             return
         output = self.outputs.single
         try:
-            if output is None or type(result) is dict:
+            if result is None and output is not None:
+                if output.active:
+                    output.decide(None)
+            elif output is None or type(result) is dict:
                 self.outputs.decide(result)
-            elif result is not None or output.active:
+            else:
                 output.decide(result)
         except BadValueError:  # told, and blind
             return
@@ -414,11 +418,11 @@ class GuardRunner(ReactionRunner):
         first = timed.begin() if timed is not None else 0.0
         self.clock.step(began)
         stepping = self._stepping
-        stepping.owner, before = self.owner, stepping.owner
+        stepping.runner, before = self, stepping.runner
         try:
             passed = self.reaction.react(**senses.by_name(), **{self._port: command})
         finally:
-            stepping.owner = before
+            stepping.runner = before
         if timed is None:
             return passed
         failed = timed.end(first)

@@ -363,12 +363,12 @@ _outside = random.Random()  # for code that belongs to no component
 
 
 class Stepping(OfLoop):
-    """Whose reaction decides now, in one event loop."""
+    """What runs the reaction that decides now, in one event loop; it has an owner."""
 
-    __slots__ = ("owner",)
+    __slots__ = ("runner",)
 
     def __init__(self, _loop: asyncio.AbstractEventLoop | None = None) -> None:
-        self.owner: Owner | None = None
+        self.runner: Any = None
 
 
 class Stream:
@@ -412,7 +412,8 @@ class ComponentRandom(random.Random):
     @property
     def _own(self) -> random.Random:
         loop = asyncio._get_running_loop()  # noqa: SLF001 - None in a thread, no error
-        owner = (loop and Stepping.of(loop).owner) or current_owner()
+        runner = loop and Stepping.of(loop).runner
+        owner = (runner and runner.owner) or current_owner()
         if owner is None or owner.stream is None:
             return _outside
         return owner.stream()

@@ -27,7 +27,7 @@ from esair.actions import (
     taken,
 )
 from esair.connections import DONE, Halting, Stopped
-from esair.loop import Budget, Portal, Stepping, raisable, spawn
+from esair.loop import Budget, Owner, Portal, Stepping, raisable, spawn
 from esair.messages import BehaviorStatus
 from esair.placement._wire import ASKED, AWAITED, CALLED
 from esair.plan import in_use, refuse, used_already
@@ -213,13 +213,13 @@ class Reacting:
         self._names, self._react = ordered(reaction)
         self._until = until
         self._stepping = Stepping.of(child.loop)
-        self._owner = child.owner
+        self.owner: Owner = child.owner
 
     def decide(self, values: list[Any], now_ms: int, elapsed_ms: int) -> Any:
         """Make a step; returns what it decides, and of a step whether it was the last."""
         for each in self._told:
             each.now_ms, each.elapsed_ms = now_ms, elapsed_ms
-        self._stepping.owner = self._owner  # whose random numbers it draws
+        self._stepping.runner = self  # whose random numbers it draws
         try:
             decided = self._react(*values)
             if not self.number:
@@ -230,7 +230,7 @@ class Reacting:
             self.error = error
             raise raisable(error, "the reaction") from error
         finally:
-            self._stepping.owner = None
+            self._stepping.runner = None
 
 
 def port_for(child: Child, key: str, resource: str, portal: Portal | None) -> Any:
