@@ -22,7 +22,7 @@ from collections.abc import Callable, Coroutine
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from esair.loop._light_task import LightTask, settle
+from esair.loop._light_task import LightTask, current_task_of, settle
 from esair.loop._of_loop import OfLoop, OfTurn
 from esair.loop._ownership import Contained
 from esair.loop._scheduler import contained
@@ -60,7 +60,7 @@ class Arrivals(OfLoop):
 
     def __enter__(self) -> None:
         self._depth += 1
-        if self._depth == 1 and asyncio.current_task(self._loop) is None:
+        if self._depth == 1 and current_task_of(self._loop) is None:
             self.so_far = []
 
     def __exit__(self, _: object, error: BaseException | None, *__: object) -> None:
