@@ -458,13 +458,16 @@ class CommandCheck:
         """Choose, once, the check for the kind of commands that it takes."""
         if self._own_check is not None:
             return self._any
+        self._low, self._high = self._limits.get("", (math.nan, math.nan))
         if not self._limits:
             if self.wanted is float:
                 return self._number
+            if self.wanted is int:  # which is always finite
+                self._low, self._high = -math.inf, math.inf
+                return self._number_in_limits
             # What is no number may hide one: then each part is looked at.
             plain = _all_numbers(actuator.safe, self._fields)
             return self._numbers if plain and not self._length else self._any
-        self._low, self._high = self._limits.get("", (math.nan, math.nan))
         bounded = math.isfinite(self._low) and math.isfinite(self._high)
         if bounded and (self.wanted is float or self.wanted is int):
             return self._number_in_limits
