@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import itertools
 import time
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import pytest
 
 import esair
-from esair.loop import Order, Scheduler, TurnLoop
+from esair.loop import Deadlines, Order, Scheduler, TurnLoop
 from esair.testing import VirtualLoop
 
 pytestmark = pytest.mark.virtual_clock
@@ -266,7 +267,9 @@ async def test_an_instant_has_one_order() -> None:
         return step
 
     begin = clock()
-    scheduler().at(begin + 0.1, steps("expiry"), order=Order.EXPIRY)
+    expiry = functools.partial(steps("expiry"), 0.0)
+    deadlines = Deadlines.of(asyncio.get_running_loop())
+    deadlines.at(begin + 0.1, expiry, order=Order.EXPIRY)
     scheduler().at(begin + 0.1, steps("wake"))
     jobs = [scheduler().every(0.1, steps(name), name=name) for name in "cba"]
     jobs.append(scheduler().every(0.1, steps("poll"), name="z", order=Order.POLL))
@@ -333,7 +336,7 @@ def test_what_the_end_of_a_turn_asks_for_comes_in_the_next_one() -> None:
         called: asyncio.Future[float] = loop.create_future()
         job = Scheduler.of(loop).on_demand(called.set_result)
         due = loop.time() + 0.01
-        Scheduler.of(loop).at(due, lambda _now: job.soon(), order=Order.EXPIRY)
+        Deadlines.of(loop).at(due, job.soon, order=Order.EXPIRY)
         far = Scheduler.of(loop).at(due + 100.0, lambda _now: None)
         moment = await asyncio.wait_for(called, 10.0)
         Scheduler.of(loop).cancel(far)

@@ -90,8 +90,9 @@ async def _one_moment() -> list[str]:
     scheduler, called = Scheduler.of(loop), list[str]()
     due = turn_of(loop).time() + MOMENT
     DeadMan(loop, lambda: due, lambda: called.append("dead man")).arm()
-    scheduler.at(due, lambda _: called.append("stale"), order=Order.STALE)
-    Deadlines.of(loop).idle(called.append, "deadline").start(due)
+    deadlines = Deadlines.of(loop)
+    deadlines.at(due, lambda: called.append("stale"), order=Order.STALE)
+    deadlines.idle(called.append, "deadline").start(due)
     scheduler.at(due, lambda _: called.append("due"))
     await asyncio.sleep(3 * MOMENT)
     return called

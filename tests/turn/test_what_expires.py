@@ -20,16 +20,16 @@ MOMENT = 0.1
 async def moment(order: tuple[str, ...]) -> list[str]:
     """Set what is due at one moment in some order; return the order of the effects."""
     loop = asyncio.get_running_loop()
-    scheduler, calls = Scheduler.of(loop), []
+    scheduler, deadlines, calls = Scheduler.of(loop), Deadlines.of(loop), []
     due = loop.time() + MOMENT
 
     def said(text: str) -> Any:
         return lambda *_: calls.append(text)
 
     setters = {
-        "step": lambda: scheduler.at(due, said("step"), order=Order.WAKE),
-        "deadline": lambda: Deadlines.of(loop).after(MOMENT, said("deadline")),
-        "stale": lambda: scheduler.at(due, said("stale"), order=Order.STALE),
+        "step": lambda: scheduler.at(due, said("step")),
+        "deadline": lambda: deadlines.after(MOMENT, said("deadline")),
+        "stale": lambda: deadlines.at(due, said("stale"), order=Order.STALE),
         "dead man": lambda: DeadMan(loop, lambda: due, said("dead man")).arm(),
     }
     for name in order:

@@ -28,7 +28,7 @@ from esair.exceptions import (
     StaleReadingError,
     describe,
 )
-from esair.loop import NEVER, REACHED, Job, OneShot, Order, Scheduler, Step
+from esair.loop import NEVER, REACHED, Deadline, Deadlines, Job, Order, Scheduler, Step
 from esair.messages import Reading, Refused, Written
 
 if TYPE_CHECKING:
@@ -163,7 +163,7 @@ class Senses:
     waiting: collections.deque[tuple[int, Any]] | None = None
     """The readings that wait for a step each, of ports with ``every=True``."""
     overflow: int = 0  # how many of those were dropped because too many waited
-    _watch: OneShot | None = None
+    _watch: Deadline | None = None
     _watch_at: float = NEVER
 
     def __attrs_post_init__(self) -> None:
@@ -201,7 +201,7 @@ class Senses:
     def stop(self) -> None:
         """Hear nothing more."""
         if self._watch is not None:
-            self._runner.scheduler.cancel(self._watch)
+            self._watch.cancel()
             self._watch = None
         for each in self.inputs:
             each.channel.unfollow(each)
@@ -265,14 +265,15 @@ class Senses:
 
     def _watch_for_age(self) -> None:
         """Look when the first reading becomes stale: earlier than was thought, maybe."""
-        scheduler = self._runner.scheduler
         if self._watch is not None:
-            scheduler.cancel(self._watch)
+            self._watch.cancel()
         self._watch_at = self.stale_at
-        self._watch = scheduler.at(self.stale_at, self._look, order=Order.STALE)
+        deadlines = Deadlines.of(asyncio.get_running_loop())
+        self._watch = deadlines.at(self.stale_at, self._look, order=Order.STALE)
 
-    def _look(self, now: float) -> None:
+    def _look(self) -> None:
         """Park a reaction that nothing steps before a reading is too old."""
+        now = self._runner.time()
         self._watch, self._watch_at = None, NEVER
         if self.stale_at == NEVER:
             return  # it is parked; the next reading begins anew
@@ -313,7 +314,8 @@ class Sampling:
         self._deferred: Job = scheduler.on_demand(step, name=name)
         self._awaits = 0  # for how many samples it waits,
         self._sampled_in = 0  # and of which turn they are; 0 if it waits for none
-        self._patience: OneShot | None = None
+        deadlines = Deadlines.of(asyncio.get_running_loop())
+        self._patience = Deadline(deadlines, self._wait_no_longer, is_patient=False)
 
     def waits(self, now: float) -> bool:
         """Tell whether the step waits; then it comes when its samples are there."""
@@ -334,32 +336,24 @@ class Sampling:
         self._sampled_in = turn
         for each in awaited:
             each.asking.when_answered(functools.partial(self._answered, turn))
-        self._lose_patience()
-        self._patience = self._scheduler.at(
-            now + half, self._wait_no_longer, order=Order.EXPIRY
-        )
+        self._patience.start(now + half)
         return True
 
     def stop(self) -> None:
         self._deferred.stop()
-        self._lose_patience()
+        self._patience.cancel()
 
     def _answered(self, turn: int) -> None:
         """A sample has come; step when all have."""
         if turn == self._sampled_in:
             self._awaits -= 1
             if self._awaits == 0:
-                self._wait_no_longer(0.0)
+                self._wait_no_longer()
 
-    def _wait_no_longer(self, _now: float) -> None:
+    def _wait_no_longer(self) -> None:
         self._sampled_in = 0
-        self._lose_patience()
+        self._patience.cancel()
         self._deferred.soon()
-
-    def _lose_patience(self) -> None:
-        if self._patience is not None:
-            self._scheduler.cancel(self._patience)
-            self._patience = None
 
 
 def _in_short(sensor: str, error: EsairError) -> str:

@@ -11,7 +11,6 @@ import asyncio
 import copy
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 from esair.connections._calls import Apply, Call
@@ -19,7 +18,16 @@ from esair.connections._gate import Gate, Hold, verdict
 from esair.connections._values import is_opaque, is_same, is_weaker, weaker_of
 from esair.connections._wire import IDLE, SafeCommand, Wire
 from esair.exceptions import BadValueError, EsairError, describe
-from esair.loop import REACHED, DeadMan, OneShot, Order, Scheduler, clock_of, ignore
+from esair.loop import (
+    NEVER,
+    REACHED,
+    Deadline,
+    Deadlines,
+    DeadMan,
+    Order,
+    clock_of,
+    ignore,
+)
 from esair.messages import Refused, ResourceState
 from esair.resources import HOLD, REFUSE
 
@@ -234,7 +242,7 @@ class Protections:
     def __init__(self, channels: Mapping[str, ActuatorChannel]) -> None:
         self._channels = channels
         self._entries: dict[str, list[Protection]] = {}
-        self._ends: list[OneShot] = []  # when what is muted now is in force again
+        self._ends: list[Deadline] = []  # when what is muted now is in force again
 
     def __iter__(self) -> Iterator[Protection]:
         return iter([each for entries in self._entries.values() for each in entries])
@@ -280,7 +288,7 @@ class Protections:
             self._tell(entry.actuator, guards=entry.guards)
         if seconds > 0:
             loop = asyncio.get_running_loop()
-            end = Scheduler.of(loop).at(until, self._mute_is_over, order=Order.EXPIRY)
+            end = Deadlines.of(loop).at(until, self._mute_is_over, order=Order.EXPIRY)
             self._ends.append(end)
 
     def reset(self, entries: Iterable[Protection]) -> None:
@@ -303,12 +311,11 @@ class Protections:
 
     def close(self) -> None:
         """Wait for no end of a mute any more: the robot has stopped."""
-        scheduler = Scheduler.of(asyncio.get_running_loop())
         for end in self._ends:
-            scheduler.cancel(end)
+            end.cancel()
 
-    def _mute_is_over(self, _moment: float) -> None:
-        self._ends.remove(min(self._ends, key=attrgetter("due")))
+    def _mute_is_over(self) -> None:
+        self._ends = [each for each in self._ends if each.when < NEVER]
         for actuator in self._entries:
             self._tell(actuator)
 
@@ -394,7 +401,6 @@ class Stillness:
         "_hold",
         "_look",
         "_safe",
-        "_scheduler",
         "_wire",
         "dead_man",
         "timeouts",
@@ -415,8 +421,13 @@ class Stillness:
         self._guards = guards
         self._wire = wire
         self._safe = safe
-        self._scheduler = Scheduler.of(device.loop)
-        self._look: OneShot | None = None
+        # A hold is over, like a reading that is too old: that is not put off.
+        self._look = Deadline(
+            Deadlines.of(device.loop),
+            self.keep_still,
+            order=Order.STALE,
+            is_patient=False,
+        )
         self.dead_man: DeadMan = DeadMan(device.loop, self.dies, self.dead)
         self.timeouts: int = 0  # how often it was made safe because nobody wrote
 
@@ -425,7 +436,7 @@ class Stillness:
         self._hold.holder = self._hold.writer = None
         self._gate.fence += 1
         self.dead_man.disarm()
-        self._look_no_more()
+        self._look.cancel()
 
     # The dead man.
 
@@ -476,19 +487,8 @@ class Stillness:
 
     def look_when_over(self) -> None:
         """Look again when the hold is over: who is blind may keep it still then."""
-        self._look_no_more()  # that was when another one's hold ends
         # A hair later: who sees again at that very moment, sees.
-        moment = self._hold.until + _GRACE
-        self._look = self._scheduler.at(moment, self._look_again, order=Order.STALE)
-
-    def _look_again(self, _now: float) -> None:
-        self._look = None
-        self.keep_still()
-
-    def _look_no_more(self) -> None:
-        if self._look is not None:
-            self._scheduler.cancel(self._look)
-            self._look = None
+        self._look.start(self._hold.until + _GRACE)
 
     def stay(self) -> None:
         """Make it safe at once because of a guard; who writes keeps the hold."""

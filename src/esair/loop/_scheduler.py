@@ -38,7 +38,6 @@ from esair.loop._ownership import spawn
 if TYPE_CHECKING:
     from fractions import Fraction
 
-    from esair.loop._deadlines import Deadline
     from esair.loop._turn import Turn
 
 
@@ -110,14 +109,13 @@ def _never(_now: float) -> bool:
 class OneShot:
     """One call at one moment."""
 
-    __slots__ = ("deadline", "due", "function", "order")
+    __slots__ = ("due", "function")
 
-    def __init__(self, due: int, order: Order, function: Step) -> None:
+    order = Order.WAKE
+
+    def __init__(self, due: int, function: Step) -> None:
         self.due: int = due  # in nanoseconds of the loop's clock
-        self.order: Order = order
         self.function: Step = function
-        self.deadline: Deadline | None = None
-        """What calls it, if it sees that something has not come."""
 
 
 class Job:
@@ -416,19 +414,13 @@ class Scheduler(OfTurn):
         number = next(self._numbers)
         return Job(self, function, group, order=order, name=name, number=number)
 
-    def at(self, due: float, function: Step, *, order: Order = Order.WAKE) -> OneShot:
+    def at(self, due: float, function: Step) -> OneShot:
         """Call a function once, at a moment of the loop's clock.
 
         What sees that something has not come until then is a deadline.
         """
-        one_shot = OneShot(round(min(due, FAR) * SECOND), order, function)
-        if order > Order.WAKE:
-            deadlines = self._loops_turn.deadlines
-            one_shot.deadline = deadlines.at(
-                due, lambda: one_shot.function(self._time()), order=order
-            )
-        else:
-            self._push(one_shot.due, one_shot)
+        one_shot = OneShot(round(min(due, FAR) * SECOND), function)
+        self._push(one_shot.due, one_shot)
         return one_shot
 
     def cancel(self, one_shot: OneShot) -> None:
@@ -436,9 +428,6 @@ class Scheduler(OfTurn):
         if one_shot.function is idle:
             return
         one_shot.function = idle
-        if one_shot.deadline is not None:
-            one_shot.deadline.cancel()
-            return
         self._cancelled += 1
         if 2 * self._cancelled > len(self._heap) or self._heap[0][-1] is one_shot:
             self._forget(one_shot)
@@ -607,7 +596,7 @@ class Scheduler(OfTurn):
             decided, asked.decided = asked.decided, []
             yield decided
         if one_shots:
-            one_shots.sort(key=_moment)
+            one_shots.sort(key=attrgetter("due"))
             yield from (self._fired(each) for each in one_shots)
         if asked.last:
             last, asked.last = asked.last, []
@@ -625,7 +614,7 @@ class Scheduler(OfTurn):
     def _fired(self, one_shot: OneShot) -> Iterable[Callee]:
         if one_shot.function is idle:
             return ()
-        fired = OneShot(one_shot.due, one_shot.order, one_shot.function)
+        fired = OneShot(one_shot.due, one_shot.function)
         one_shot.function = idle
         return (fired,)
 
@@ -641,10 +630,6 @@ class Scheduler(OfTurn):
         elif self._heap:
             self._want(self._heap[0][0])
         return sleep
-
-
-def _moment(one_shot: OneShot) -> tuple[Order, int]:
-    return one_shot.order, one_shot.due
 
 
 def _taken(jobs: list[Job]) -> list[Job]:
