@@ -94,7 +94,7 @@ async def test_a_stop_names_the_motion_that_it_could_not_wait_for(user_of: Any) 
     assert not told.answered
     assert "write" in told.error
     assert "1.0" in told.error
-    assert [str(call) for call in robot.resources.abandoned()] == ["write 3 (1.0)"]
+    assert [str(call) for call in robot.resources.abandoned()] == ["write 1 (1.0)"]
     with pytest.raises(esair.DriverStuckError):
         await writing
     await asyncio.sleep(40.0)

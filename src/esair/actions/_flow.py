@@ -14,6 +14,7 @@ import attrs
 
 from esair.actions._needs import Reads
 from esair.connections import (
+    SENT,
     ActuatorChannel,
     Decision,
     Registration,
@@ -433,7 +434,7 @@ class Output:
         except EsairError as error:
             self.reject(error)
             return False, None
-        if type(outcome) is Written:
+        if outcome is SENT or type(outcome) is Written:
             self.active = True
         elif type(outcome) is Refused:
             self._outputs.refused += 1

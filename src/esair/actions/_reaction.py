@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, ClassVar, TypeVar, cast, overload
 
 from esair import minimal
@@ -33,6 +34,17 @@ class StepClock:
         self.now = now
         if self.reaction is not None:
             self.tell()
+
+    def telling(self, react: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function that tells the reaction first, if it cannot ask."""
+        if self.reaction is None:
+            return react
+
+        def told(*values: Any) -> Any:
+            self.tell()
+            return react(*values)
+
+        return told
 
     def begin_anew(self, reaction: Any) -> None:
         """Know of no step; tell this one from now on."""

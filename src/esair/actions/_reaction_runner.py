@@ -125,7 +125,8 @@ class ReactionRunner:
             self.step_time = StepTime(reaction, loop, budget)
         self.scheduler: Scheduler = Scheduler.of(loop)
         self._stepping = Stepping.of(loop)
-        names, self._react = ordered(reaction)
+        names, react = ordered(reaction)
+        self._react: Callable[..., Any] = self.clock.telling(react)
         self.senses: Senses = Senses(
             self, reaction.inputs, names, self.grace, reaction.rate
         )
@@ -283,11 +284,9 @@ class ReactionRunner:
             senses.see(now)
             return
         senses.steps += 1
-        clock = self.clock  # hot: `StepClock.step` in its place
+        clock = self.clock  # hot: of `StepClock.step` what is needed here
         clock.before = clock.now
         clock.now = now
-        if clock.reaction is not None:
-            clock.tell()
         stepping = self._stepping
         stepping.runner = self
         react = self._react  # hot: by itself

@@ -21,7 +21,7 @@ driver has a number, a deadline and one outcome (`_calls`); each right a number 
 grows (`_registrations`). What comes and what leaves is checked by one walk (`_values`).
 """
 
-from esair.connections._actuator_channel import ActuatorChannel
+from esair.connections._actuator_channel import SENT, ActuatorChannel
 from esair.connections._calls import (
     Call,
     Driver,
@@ -70,6 +70,7 @@ __all__ = [
     "BLIND",
     "DONE",
     "HALT",
+    "SENT",
     "UNDECIDED",
     "ActuatorChannel",
     "ActuatorConnection",

@@ -23,7 +23,7 @@ from esair.connections._gate import (
 )
 from esair.connections._protection import Guards, Protection, Stillness
 from esair.connections._turns import Decision, Sent, WaitingWrites
-from esair.connections._wire import IDLE, NOT_YET, SafeCommand, Wire
+from esair.connections._wire import NOT_YET, SafeCommand, Wire
 from esair.exceptions import (
     AccessDeniedError,
     EsairError,
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 _new = Written.__new__  # hot
 
-_SENT: Written[Any] = Written(None)  # the answer to who does not look at it
+SENT: Written[Any] = Written(None)  # the answer to who does not look at it
 
 
 class Sending(NamedTuple):
@@ -304,8 +304,8 @@ class ActuatorChannel(Device):
         if now is None:
             time = self.time  # hot
             now = time()
-        held, heard, is_plain = self.hold, self._journal.heard, self._is_plain
-        holder = held.holder
+        held, heard = self.hold, self._journal.heard
+        holder, is_plain = held.holder, self._is_plain
         # One shortcut: what nothing stands in the way of needs no verdict.  # hot
         if not (
             is_plain
@@ -327,9 +327,9 @@ class ActuatorChannel(Device):
         # Late: between this look and the driver only guards take time.
         if expires is not None and (late := self._lateness(expires)) > 0.0:
             return self._expired(registration, late)
-        if wire.lane is not None or self.safe.state is not IDLE:
+        if wire.lane is not None or self.safe.state is not None:
             return self._when_idle(registration, command, hold, expires)
-        if wire.slews or wire.watch is not None:
+        if wire.bounds:
             command = self._bounded(command, now)
         # `Hold` takes it here, in place.  # hot
         if holder is not registration or now + REACHED >= held.begun + held.seconds:
@@ -355,7 +355,7 @@ class ActuatorChannel(Device):
                 Kind.APPLIED, self.name, registration.behavior, command
             )
         if not told:
-            return _SENT
+            return SENT
         written = _new(Written)
         written.command, written.asked, written.by = command, asked, by
         return written
@@ -415,7 +415,7 @@ class ActuatorChannel(Device):
     def _send_still(self, registration: Registration, command: Any) -> Sent:
         """Send what is safe past the blind holds: it moves nothing, and holds nothing."""
         wire = self.wire
-        if wire.lane is not None or self.safe.state is not IDLE:
+        if wire.lane is not None or self.safe.state is not None:
             return self._when_idle(registration, command, None)
         if wire.watch is not None:
             self._check_watch()
@@ -567,7 +567,7 @@ class ActuatorChannel(Device):
                 if isinstance(refused, Refused):
                     self._refuse(right, refused)
                 write.end(refused)
-        while waiting and self.wire.lane is None and self.safe.state is IDLE:
+        while waiting and self.wire.lane is None and self.safe.state is None:
             write = waiting.first()
             if write.turn.done():
                 continue
@@ -651,7 +651,7 @@ class ActuatorChannel(Device):
     def between(self, method: Method, told: Callable[[End], None]) -> bool:
         """Call the driver between two commands; tells whether the device was free."""
         wire = self.wire
-        if wire.lane is not None or self.safe.state is not IDLE or self.calls.alive:
+        if wire.lane is not None or self.safe.state is not None or self.calls.alive:
             return False
 
         def ended(call: Call, end: End) -> None:
@@ -679,7 +679,7 @@ class ActuatorChannel(Device):
             )
         if refused is not None:
             raise refused
-        if wire.lane is not None or self.safe.state is not IDLE:
+        if wire.lane is not None or self.safe.state is not None:
             return False
         if self.stillness.moves:
             self.make_safe(stay=True)

@@ -319,6 +319,7 @@ class Calls:
         self.resource: str = driver.resource.name
         self.opening: int = 0
         self.number: int = 0
+        """That of the newest call that waits, or has waited."""
         self.alive: dict[int, Call] = {}
         """The calls whose driver's code has not ended, by number."""
         self.abandoned: int = (
@@ -352,12 +353,10 @@ class Calls:
         limit: float | None,
         guard: Guard | None = None,
     ) -> Any:
-        self.number += 1
         if self.alive and len(self.alive) >= ABANDONED_LIMIT:
             self._check_abandoned(kind)
-        tape = self._door.tape
-        if tape is not None:
-            return self._begin_taped(tape, kind, method, args, limit, guard)
+        if self._door.tape is not None:
+            return self._begin_taped(self._door.tape, kind, method, args, limit, guard)
         if self.lost is not None:
             self._check_lost(kind)
         if method.is_plain:
@@ -368,8 +367,7 @@ class Calls:
             if value is None or not hasattr(value, "__await__"):
                 return value
             method, args = _REST, (value,)
-        steps = self._steps
-        light = steps.spare
+        light = self._steps.spare
         if light.caller is not None or not method.is_usual:
             return self._begin_untaped(kind, method, args, limit, guard)
         # Most calls are these, and end here: it is `FirstSteps.begin` in its place.
@@ -392,7 +390,7 @@ class Calls:
             if waits_for is ENDED and not light._num_cancels_requested:  # noqa: SLF001 - the name that anyio looks at
                 light.caller = None
             else:
-                steps.spare = LightTask(loop)
+                self._steps.spare = LightTask(loop)
         if waits_for is ENDED:
             return light.value
         light.goes_on(coroutine, waits_for)
@@ -578,7 +576,7 @@ class Calls:
     # Inside.
 
     def _track(self, kind: str, args: tuple[Any, ...], limit: float | None) -> Call:
-        number = self.number
+        number = self.number = self.number + 1
         call = Call(self.resource, kind, self.opening, number, args, self._time())
         self.alive[number] = call
         if limit is not None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from esair.connections._calls import Apply, Call
 from esair.connections._gate import Gate, Hold, verdict
 from esair.connections._values import is_opaque, is_same, is_weaker, weaker_of
-from esair.connections._wire import IDLE, SafeCommand, Wire
+from esair.connections._wire import SafeCommand, Wire
 from esair.exceptions import BadValueError, EsairError, describe
 from esair.loop import (
     NEVER,
@@ -465,7 +465,7 @@ class Stillness:
             self._device.state is ResourceState.READY
             and not told.is_safe
             and told.command is not HOLD
-            and self._safe.state is IDLE
+            and self._safe.state is None
             and not self.is_still(told.command)
         )
 
@@ -512,7 +512,7 @@ class Stillness:
         told = wire.told
         if passed is told.command or wire.lane is not None:
             return  # a call in flight: it is looked at again when that ends
-        if self._safe.state is not IDLE:
+        if self._safe.state is not None:
             return
         less = weaker_of(told.command, passed, wire.still)
         if is_same(less, told.command):

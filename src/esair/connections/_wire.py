@@ -77,6 +77,8 @@ class Wire:
     Attributes:
         actuator: Whose driver it is.
         blocks: Whether its driver is called in a thread.
+        bounds: Whether a command is bounded, or asked for, before it is sent: how fast
+            commands change is limited, or there is a watchdog.
         check: The check of what may be sent to it.
         command_timeout: After how many seconds without a write it gets its safe command.
         copies: Whether somebody could change a command after its check.
@@ -101,6 +103,7 @@ class Wire:
         "actuator",
         "applied",
         "blocks",
+        "bounds",
         "check",
         "command_timeout",
         "copies",
@@ -135,6 +138,7 @@ class Wire:
         check = CommandCheck(actuator)
         self.check: CommandCheck = check
         self.copies, self.slews = check.copies, check.slews
+        self.bounds: bool = self.slews or self.watch is not None
         method = self._device.driver.method("write")
         self.blocks: bool = method.executor is not None
         write = method.function
@@ -186,6 +190,11 @@ class Wire:
         self.lane = None
         told.error = ""
         return sent
+
+    def watch_by(self, watch: Watched | None) -> None:
+        """Ask this watchdog from now on whether it may move."""
+        self.watch = watch
+        self.bounds = self.slews or watch is not None
 
     def copied(self, command: Any) -> Any:
         """Return a command that nobody but its holder can change."""
@@ -269,15 +278,14 @@ class Wire:
 
 
 class State(enum.Enum):
-    """Where the safe command is."""
+    """Where a safe command is that somebody has asked for."""
 
-    IDLE = "nobody has asked for it"
     DUE = "it waits for a write in flight"
     ON_ITS_WAY = "the driver has it"
     AGAIN = "the driver has it, and gets it once more"
 
 
-IDLE, DUE, ON_ITS_WAY, AGAIN = State  # hot
+DUE, ON_ITS_WAY, AGAIN = State
 
 
 class SafeCommand:
@@ -316,7 +324,7 @@ class SafeCommand:
         """Until when the stop of the robot waits for it."""
         self._pulses: list[asyncio.Future[None]] = []
         self._task: asyncio.Task[bool] | None = None
-        self.state: State = IDLE
+        self.state: State | None = None  # nobody has asked for it
         for call in wire.motions_left():  # of one of this name, which was removed
             over: asyncio.Future[None] = device.loop.create_future()
             over.add_done_callback(lambda _: self.repeat())
@@ -325,7 +333,7 @@ class SafeCommand:
     def attach(self) -> None:
         """Begin with a device that was told nothing."""
         if self._task is None:
-            self.state = IDLE
+            self.state = None
         self._number = 0  # of the newest call with the safe command
         self._stays = False
         """What is on its way is to stay, because safe is a place to go."""
@@ -376,7 +384,7 @@ class SafeCommand:
         """The device is open, and was told it by `at_opening`."""
         again = self.state is AGAIN
         if self._task is None:
-            self.state = IDLE
+            self.state = None
         if again:
             self.make()
 
@@ -443,7 +451,7 @@ class SafeCommand:
     def _over(self, task: asyncio.Task[Any]) -> None:
         if self._task is task:
             self._task = None
-            self.state = IDLE
+            self.state = None
             self._on_idle()
 
     async def _try(self) -> bool:
