@@ -101,6 +101,30 @@ async def test_a_stop_names_the_motion_that_it_could_not_wait_for(user_of: Any) 
     assert robot.resources.abandoned() == ()
 
 
+@pytest.mark.promise("AC-4", "CALL-1")
+async def test_a_stop_tells_what_is_back_to_be_safe_beside_a_motion_that_lives(
+    user_of: Any,
+) -> None:
+    """It was unplugged amid a motion, and is there again when the robot stops."""
+    motor, user = Motor(0.0, deaf=True), user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]) as robot:
+        await user.motor.write(1.0)
+        motor.takes = 30.0
+        writing = asyncio.create_task(user.motor.write(2.0))
+        await asyncio.sleep(0.01)
+        motor.report_lost(ConnectionResetError("unplugged"))
+        await asyncio.sleep(0.01)
+        assert robot.resources.query("motor").state is ResourceState.LOST
+
+    assert motor.landed == [0.0, 1.0, 0.0]
+    (told,) = robot.stopped
+    assert told.safe
+    assert not told.answered  # the motion may still land, and the report names it
+    assert "2.0" in told.error
+    with pytest.raises(esair.DeviceLostError):
+        await writing
+
+
 @pytest.mark.promise("CALL-1", "CALL-2")
 @pytest.mark.parametrize(("takes", "answered"), [(30.0, False), (3.0, True)])
 async def test_a_motion_given_up_before_the_stop_is_named_while_it_lives(

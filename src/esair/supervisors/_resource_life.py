@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -105,11 +106,13 @@ class Opener:
     def leave(self) -> None:
         """It is not opened any more."""
 
-    async def open(self) -> None:
+    async def open(self, patience: float = math.inf) -> None:
+        """Open it and set it up; calls from before have so many seconds to end."""
         resource, calls = self.resource, self.calls
         calls.next_opening(DeviceLostError(resource.name, "it is opened again"))
         # What a call from before a loss still sends must not come after the safe command.
-        await calls.quiet(asyncio.get_running_loop().time() + resource.deadline + 0.1)
+        patience = min(patience, resource.deadline + 0.1)
+        await calls.quiet(asyncio.get_running_loop().time() + patience)
         if resource.bus is not None:
             await self._run("open the bus", Method(resource.bus.open, None))
         await self.close()  # what has opened late meanwhile
@@ -258,7 +261,7 @@ class DerivedOpener(Opener):
         lost.__cause__ = self._missing
         return lost
 
-    async def open(self) -> None:
+    async def open(self, patience: float = math.inf) -> None:
         for name in {need.provider for need in self._derived.inputs.values()}:
             source = self._deployment.lives.get(name)
             if source is not None and not source.tried.done():
@@ -451,9 +454,11 @@ class ResourceLife:
         await asyncio.wait({self._task}, timeout=LAST_TRY)
         if self.is_over:
             return  # it was removed meanwhile: nobody would close it again
-        trying = spawn(self._loop, self._open_once(), name=f"{name} opening")
-        self._task = trying
         seconds = min(LAST_TRY, until - self._loop.time())
+        # A motion may live longer than that: better safe before its end than never.
+        opening = self._open_once(patience=seconds / 2)
+        trying = spawn(self._loop, opening, name=f"{name} opening")
+        self._task = trying
         await Deadlines.of(self._loop).wait(trying, seconds)
         if not trying.done():
             trying.cancel()
@@ -461,9 +466,9 @@ class ResourceLife:
         elif (error := trying.result()) is not None:
             channel.not_told(error)
 
-    async def _open_once(self) -> BaseException | None:
+    async def _open_once(self, patience: float) -> BaseException | None:
         await self.device.close()
-        return await self._try_to_open()
+        return await self._try_to_open(patience)
 
     async def stop(self, until: float) -> None:
         """Close the device, whatever it is doing."""
@@ -593,11 +598,11 @@ class ResourceLife:
             self._news = None
         return news.result() if news.done() else None
 
-    async def _try_to_open(self) -> BaseException | None:
+    async def _try_to_open(self, patience: float = math.inf) -> BaseException | None:
         try:
             # A change of settings that the loss has interrupted has to be over.
             async with self.configuring:
-                await self.device.open()
+                await self.device.open(patience)
         except Exception as error:
             return error
         return None
