@@ -125,6 +125,31 @@ async def test_a_stop_tells_what_is_back_to_be_safe_beside_a_motion_that_lives(
         await writing
 
 
+@pytest.mark.promise("AC-4", "CALL-2")
+async def test_nothing_but_safe_is_sent_when_an_old_motion_ends_beside_a_new_one(
+    user_of: Any,
+) -> None:
+    """The old one is of a device that was taken away; a halt waits for the new one."""
+    old, new = Motor(1.2, deaf=True), Motor(0.9)
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[old], behaviors=[user], grace=0.1) as robot:
+        first = asyncio.create_task(user.motor.write(1.0))
+        await asyncio.sleep(0.01)
+        await robot.resources.replace("motor", new)
+        await asyncio.sleep(1.05 - now())
+        second = asyncio.create_task(user.motor.write(2.0))
+        await asyncio.sleep(0.1)
+        robot.halt("enough")
+        await until_landed(old, 1.0)
+        await asyncio.sleep(0.05)
+        assert not new.landed[1:]  # both of them wait
+        await asyncio.sleep(3.0)
+        assert new.landed.count(2.0) == 1
+        assert new.landed[-1] == 0.0
+        await asyncio.wait({first, second})
+        assert isinstance(first.exception(), esair.EsairError)
+
+
 @pytest.mark.promise("CALL-1", "CALL-2")
 @pytest.mark.parametrize(("takes", "answered"), [(30.0, False), (3.0, True)])
 async def test_a_motion_given_up_before_the_stop_is_named_while_it_lives(

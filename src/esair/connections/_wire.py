@@ -334,7 +334,7 @@ class SafeCommand:
         """Begin with a device that was told nothing."""
         if self._task is None:
             self.state = None
-        self._number = 0  # of the newest call with the safe command
+        self._number = 0  # of the newest call with the safe command, if that waits
         self._stays = False
         """What is on its way is to stay, because safe is a place to go."""
 
@@ -366,7 +366,7 @@ class SafeCommand:
         if self.state is ON_ITS_WAY:
             self.state = AGAIN
         safe = device.calls.alive.get(self._number)
-        if safe is not None:  # its answer may be long in coming
+        if safe is not None and safe.kind == "safe":  # its answer may be long in coming
             Deadlines.of(device.loop).after(self.turn_within, self._overtake, safe)
 
     def after_operation(self) -> None:
