@@ -160,6 +160,29 @@ async def test_it_comes_and_goes_with_its_actuator() -> None:
         assert robot.resources.query("wheels").users == ("drive",)
 
 
+class LookOnce(esair.Behavior):
+    applied = esair.reads(float, name="wheels.applied")
+
+    async def run(self) -> None:
+        self.met = ""
+        try:
+            await self.applied.read()
+        except esair.DeviceLostError as error:
+            self.met = str(error)
+
+
+async def test_who_asks_while_the_actuator_is_lost_learns_that_at_once() -> None:
+    """Nobody has read its last command before; it does not wait for one."""
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[wheels]) as robot:
+        wheels.unplug()
+        await asyncio.sleep(0.01)
+        look = LookOnce()
+        await robot.behaviors.add(look)
+        await asyncio.sleep(0.01)
+        assert "unplugged" in look.met
+
+
 async def test_one_that_stays_is_unknown_until_its_driver_says_where() -> None:
     """`esair.HOLD` is no command that anybody could read."""
 

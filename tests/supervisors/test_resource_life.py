@@ -622,6 +622,75 @@ async def test_a_behavior_waits_for_the_right_device() -> None:
         assert (status.state, status.restarts) == (esair.BehaviorState.RUNNING, 0)
 
 
+@pytest.mark.promise("CALL-1")
+async def test_a_close_waits_for_a_call_that_ends_in_time() -> None:
+    """A driver that is closed amid a call may leave its bus in any state."""
+
+    class Sonar(esair.Sensor[float]):
+        rate = 1.3
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.log: list[str] = []
+
+        async def read(self) -> float:
+            asked = asyncio.get_running_loop().time()
+            while asyncio.get_running_loop().time() < asked + 0.2:
+                with contextlib.suppress(asyncio.CancelledError):
+                    await asyncio.sleep(0.01)
+            self.log.append("read")
+            return 1.0
+
+        async def close(self) -> None:
+            self.log.append("close")
+
+    class User(esair.Behavior):
+        sonar = esair.reads(float)
+
+        async def run(self) -> None:
+            await self.sonar.read(fresh=True)
+
+    sonar = Sonar()
+    async with esair.Robot(resources=[sonar], behaviors=[User()]):
+        await asyncio.sleep(0.05)
+    assert sonar.log == ["read", "close"]
+
+
+@pytest.mark.promise("CALL-1")
+async def test_a_device_that_an_old_opening_may_have_set_up_is_opened_at_once() -> None:
+    """It is there: nobody waits for it as for one that is gone."""
+
+    class Sonar(esair.Sensor[float]):
+        rate = 1.3
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.openings: list[float] = []
+
+        async def open(self) -> None:
+            loop = asyncio.get_running_loop()
+            self.openings.append(loop.time())
+            if len(self.openings) > 3:
+                return
+            if len(self.openings) < 3:
+                raise ConnectionError("not there")
+            until = loop.time() + 3.0
+            while loop.time() < until:  # it heeds no cancellation
+                with contextlib.suppress(asyncio.CancelledError):
+                    await asyncio.sleep(0.01)
+
+        async def read(self) -> float:
+            return 1.0
+
+    sonar = Sonar()
+    async with esair.Robot(resources=[sonar]):
+        await asyncio.sleep(6.0)
+    late = sonar.openings[2] + 3.0
+    after = [each for each in sonar.openings if each >= late]
+    assert len(after) == 1
+    assert after[0] - late < 0.15
+
+
 @pytest.mark.promise("ROB-2")
 async def test_an_opening_that_ends_after_the_last_try_is_closed() -> None:
     """The stop waits for it, and closes it."""

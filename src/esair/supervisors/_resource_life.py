@@ -107,12 +107,14 @@ class Opener:
         """It is not opened any more."""
 
     async def open(self, patience: float = math.inf) -> None:
-        """Open it and set it up; calls from before have so many seconds to end."""
+        """Open it and set it up; motions from before have so many seconds to end."""
         resource, calls = self.resource, self.calls
         calls.next_opening(DeviceLostError(resource.name, "it is opened again"))
         # What a call from before a loss still sends must not come after the safe command.
-        patience = min(patience, resource.deadline + 0.1)
-        await calls.quiet(asyncio.get_running_loop().time() + patience)
+        now, most = asyncio.get_running_loop().time(), resource.deadline + 0.1
+        await calls.quiet(now + min(patience, most))
+        if not all(call.may_move for call in calls.alive.values()):
+            await calls.quiet(now + most)
         if resource.bus is not None:
             await self._run("open the bus", Method(resource.bus.open, None))
         await self.close()  # what has opened late meanwhile
