@@ -76,7 +76,7 @@ def test_less_lies_between_safe_and_the_command_in_each_part(made: Any) -> None:
 def test_beside_a_safe_that_is_no_number_only_the_same_number_passes() -> None:
     """Nobody knows in which direction an "off" lies."""
     assert is_weaker(0.37, float("0.37"), "off")
-    for other in (0.36, 0.38, 0.0, -0.37, math.nan):
+    for other in (0.36, 0.38, 0.0, -0.37, math.nan, 10**400):
         assert not is_weaker(other, 0.37, "off")
 
 

@@ -9,8 +9,17 @@ import pytest
 from rich.console import Console
 
 from esair.recording import size_of
-from esair.seat._values import TEXT, short
+from esair.seat._values import TEXT, numbers_of, short
 from esair.seat.screen import event_line, picture
+
+
+@attrs.frozen
+class Three:
+    """A value with three numbers."""
+
+    a: Any
+    b: Any
+    c: Any
 
 
 def row(name: str, state: str = "ready", **more: Any) -> dict[str, Any]:
@@ -53,6 +62,12 @@ def shown(found: dict[str, Any], *, height: int = 24, **more: Any) -> str:
     console = Console(file=text, width=80, height=height)
     console.print(picture(found, console, **more))
     return text.getvalue()
+
+
+@pytest.mark.promise("OPS-2")
+def test_a_number_that_cannot_be_drawn_is_left_out():
+    """A whole number may be too large for a drawing, and spoils no picture."""
+    assert numbers_of(Three(10**400, float("inf"), 0.5)) == {"c": 0.5}
 
 
 @pytest.mark.promise("OPS-2")

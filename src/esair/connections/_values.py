@@ -7,6 +7,7 @@ a command before it may leave, and what a guard returns before it takes a comman
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import enum
 import math
@@ -258,7 +259,7 @@ def is_weaker(result: Any, command: Any, safe: Any) -> bool:
     if result is command:
         return True
     if _is_number(result) and _is_number(command):
-        if not math.isfinite(result):
+        if isinstance(result, float) and not math.isfinite(result):
             return False
         if _is_number(safe):
             return bool(min(safe, command) <= result <= max(safe, command))
@@ -725,12 +726,10 @@ class ReadingCheck:
 
 def measured_at(stamped: Stamped[Any], now: float) -> float | str:
     """Return when a value was measured, or say what is wrong with its stamp."""
-    try:
+    with contextlib.suppress(Exception):  # it may be an object of any class
         at = now - stamped.age if stamped.time is None else stamped.time
         if math.isfinite(at) and at <= now + AHEAD:
             return min(at, now)
-    except TypeError:
-        pass
     return f"expected a time of measurement until now ({now:.3f} s), it gave {stamped!r:.120}"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import numbers
 from collections.abc import Mapping, Sized
@@ -73,8 +74,9 @@ def numbers_of(value: Any) -> dict[str, float]:
     fields = {"": value} if isinstance(value, float | int) else parts_of(value)
     found = {}
     for name, part in (fields or {}).items():
-        if isinstance(part, float | int) and math.isfinite(part):
-            found[name] = float(part)
+        with contextlib.suppress(OverflowError):  # a whole number may be of any size
+            if isinstance(part, float | int) and math.isfinite(part):
+                found[name] = float(part)
         if len(found) == NUMBERS:
             break
     return found
