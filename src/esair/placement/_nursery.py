@@ -187,6 +187,7 @@ class Server:
     def __init__(self, control: socket.socket, parent_fd: int) -> None:
         self._control = control
         self._parent_fd = parent_fd
+        self._pid = os.getpid()
         self._children: dict[int, Child] = {}  # by pidfd
         self._left: dict[int, float] = {}
         """When those are killed that nobody speaks with any more, by pidfd."""
@@ -250,7 +251,7 @@ class Server:
     def _become_child(self, wire: int, words: int) -> NoReturn:
         code = 70
         try:
-            _die_with_parent(os.getppid())
+            _die_with_parent(self._pid)
             keep = {0, 1, 2, wire, words}
             for name in os.listdir("/proc/self/fd"):
                 if int(name) not in keep:
