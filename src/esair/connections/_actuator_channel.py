@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
 _new = Written.__new__  # hot
 
+COMMAND, APPLIED = Kind.COMMAND, Kind.APPLIED  # hot
+
 SENT: Written[Any] = Written(None)  # the answer to who does not look at it
 
 
@@ -351,9 +353,7 @@ class ActuatorChannel(Device):
         # Most drivers say nothing.
         self.writes += 1
         if heard.applied:
-            self._journal.publish(
-                Kind.APPLIED, self.name, registration.behavior, command
-            )
+            self._journal.publish(APPLIED, self.name, registration.behavior, command)
         if not told:
             return SENT
         written = _new(Written)
@@ -506,9 +506,7 @@ class ActuatorChannel(Device):
         if applied is None:
             applied = command
         if self._journal.heard.applied:
-            self._journal.publish(
-                Kind.APPLIED, self.name, registration.behavior, applied
-            )
+            self._journal.publish(APPLIED, self.name, registration.behavior, applied)
         return Written(applied, asked, by)
 
     # Refusals.
@@ -528,7 +526,7 @@ class ActuatorChannel(Device):
             # It is read when it may have changed; it may be an object of any class.
             with contextlib.suppress(Exception):
                 command = self.wire.copied(command)
-        self._journal.publish(Kind.COMMAND, self.name, registration.behavior, command)
+        self._journal.publish(COMMAND, self.name, registration.behavior, command)
 
     def _refuse(self, registration: Registration, refused: Refused) -> Refused:
         self.refusals += 1

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 SAFE_TRIES = 3
 """How often the safe command is tried before the actuator counts as unsafe."""
 
+SENT = Kind.SENT  # hot
+
 TURN_WITHIN = 0.3
 """How long the safe command waits at most for a write in flight, in seconds."""
 
@@ -173,7 +175,7 @@ class Wire:
         told.command = copy.deepcopy(command) if self.copies else command
         told.is_safe = False
         if self._journal.heard.sent:
-            self._journal.publish(Kind.SENT, self._device.name, behavior, command)
+            self._journal.publish(SENT, self._device.name, behavior, command)
         self.lane = _NOW
         begin = self._begin  # hot
         try:

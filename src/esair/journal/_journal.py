@@ -329,9 +329,8 @@ class Journal:
             if number >= self._flush_at:
                 self._flush_soon()
         # Last: what they do are events too, and everybody hears the cause first.
-        residents = self._residents
-        if kind in residents:
-            for resident in residents[kind]:
+        if kind in self._residents:
+            for resident in self._residents[kind]:
                 resident(_event(made))
 
     def start(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -381,12 +380,13 @@ class Journal:
 
     def _tell(self, listener: Listener, seconds: float) -> None:
         waiting, function, clock = listener.waiting, listener.function, _clock
+        take = waiting.popleft
         end = math.inf if listener.is_waited_for else clock() + seconds
         failed: BaseException | None = None
         here.is_telling = True
         try:
             while waiting:
-                event = waiting.popleft()
+                event = take()
                 function(event)
                 if clock() >= end:
                     break
