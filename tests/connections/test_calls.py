@@ -44,8 +44,8 @@ class Motor(esair.Actuator[float]):
         self.landed.append(command)
 
 
-async def until_landed(motor: Motor, command: float) -> None:
-    while command not in motor.landed:  # noqa: ASYNC110 - the device tells nobody
+async def until_landed(motor: Any, command: float, times: int = 1) -> None:
+    while motor.landed.count(command) < times:  # noqa: ASYNC110 - nobody is told
         await asyncio.sleep(0.01)
 
 
@@ -148,6 +148,49 @@ async def test_nothing_but_safe_is_sent_when_an_old_motion_ends_beside_a_new_one
         assert new.landed[-1] == 0.0
         await asyncio.wait({first, second})
         assert isinstance(first.exception(), esair.EsairError)
+
+
+@pytest.mark.promise("CALL-2", "AC-4")
+async def test_a_motion_that_ends_amid_an_opening_is_followed_by_safe(
+    user_of: Any,
+) -> None:
+    """It is from before the loss; the opening has told safe, and waits for the answer."""
+
+    class Slow(esair.Actuator[float]):
+        safe = 0.0
+
+        def __init__(self) -> None:
+            super().__init__(name="motor")
+            self.landed: list[float] = []
+            self.ends = asyncio.Event()
+            self.answers = asyncio.Event()
+            self.answers.set()
+
+        async def write(self, command: float) -> None:
+            if command:
+                while not self.ends.is_set():
+                    with contextlib.suppress(asyncio.CancelledError):
+                        await self.ends.wait()
+            self.landed.append(command)
+            await self.answers.wait()
+
+    motor = Slow()
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]) as robot:
+        writing = asyncio.create_task(user.motor.write(1.0))
+        await asyncio.sleep(0.01)
+        motor.answers.clear()
+        motor.report_lost(ConnectionResetError("unplugged"))
+        await until_landed(motor, 0.0, times=2)
+        motor.ends.set()
+        await asyncio.sleep(0.1)
+        assert motor.landed == [0.0, 0.0, 1.0]
+        motor.answers.set()
+        await asyncio.sleep(0.1)
+        assert robot.resources.query("motor").state is ResourceState.READY
+        assert motor.landed == [0.0, 0.0, 1.0, 0.0]
+        with pytest.raises(esair.DeviceLostError):
+            await writing
 
 
 @pytest.mark.promise("CALL-1", "CALL-2")

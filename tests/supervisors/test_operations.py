@@ -522,8 +522,9 @@ async def test_a_blind_guard_ends_an_operation(fake_sensor: Any) -> None:
         await asyncio.sleep(0.2)
         assert lift.did[-1] == "home 0.1"
         door.unplug()
-        with pytest.raises(esair.AccessDeniedError, match="fence is blind"):
+        with pytest.raises(esair.AccessDeniedError, match="fence is blind") as ended:
             await home
+        assert ended.value.behavior == mine.behavior
         assert lift.did[-1] == 0.0
         with pytest.raises(esair.AccessDeniedError, match="fence is blind"):
             await robot.resources.operate(mine, "home")
