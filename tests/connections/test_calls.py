@@ -193,6 +193,25 @@ async def test_a_motion_that_ends_amid_an_opening_is_followed_by_safe(
             await writing
 
 
+@pytest.mark.promise("CALL-2", "AC-4", "ROB-2")
+@pytest.mark.parametrize("takes", [0.61, 0.9, 1.17])
+@pytest.mark.parametrize("stops", [0.053, 0.2, 0.45])
+async def test_a_motion_that_ends_while_the_stop_waits_for_it_is_followed_by_safe(
+    user_of: Any, takes: float, stops: float
+) -> None:
+    """The stop has told safe, and has said that nobody answers for what still lives."""
+    motor = Motor(takes, deaf=True)
+    motor.deadline = 0.15
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]):
+        writing = asyncio.create_task(user.motor.write(1.0))
+        await asyncio.sleep(stops)
+    assert 1.0 in motor.landed
+    assert motor.landed[-1] == 0.0
+    with pytest.raises(esair.DriverStuckError):
+        await writing
+
+
 @pytest.mark.promise("CALL-1", "CALL-2")
 @pytest.mark.parametrize(("takes", "answered"), [(30.0, False), (3.0, True)])
 async def test_a_motion_given_up_before_the_stop_is_named_while_it_lives(

@@ -297,6 +297,8 @@ class SupervisorMachine(RuleBasedStateMachine):
         if name == "wheels":
             if reachable:
                 assert resource.commands[-1] == SAFE
+            if resource.answers and not resource.alive:
+                assert resource.commands[-1] == SAFE, "a motion came after the last safe"
             self.removed_devices.append(resource)
             self.counts = [len(each.commands) for each in self.removed_devices]
 
@@ -615,6 +617,8 @@ class SupervisorMachine(RuleBasedStateMachine):
                 assert told.answered or unsettled or not reachable, told
             if reachable:  # also if it was lost: there is a last try
                 assert wheels.commands[-1] == SAFE
+            if wheels is not None and wheels.answers and not wheels.alive:
+                assert wheels.commands[-1] == SAFE, "a motion came after the last safe"
 
             async def left() -> set[asyncio.Task[Any]]:
                 await asyncio.sleep(5.0)

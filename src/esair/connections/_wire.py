@@ -306,6 +306,7 @@ class SafeCommand:
         "_pulses",
         "_stays",
         "_task",
+        "_undone",
         "_wire",
         "state",
     )
@@ -339,6 +340,8 @@ class SafeCommand:
         self._number = 0  # of the newest call with the safe command, if that waits
         self._stays = False
         """What is on its way is to stay, because safe is a place to go."""
+        self._undone = False
+        """A motion has ended since, which may have undone it."""
 
     def make(self, *, stay: bool = False) -> asyncio.Task[bool]:
         """Send the safe command, before anything else; or have it stay where it is."""
@@ -362,6 +365,7 @@ class SafeCommand:
     def repeat(self) -> None:
         """Send it again: a motion has ended that may have undone it."""
         device, wire = self._device, self._wire
+        self._undone = True
         if self._task is None and device.state is ResourceState.READY:
             self.make(stay=wire.told.command is HOLD)
             return
@@ -493,7 +497,7 @@ class SafeCommand:
         told.at = device.time()
         told.is_safe = command is actuator.safe
         told.error = NOT_YET
-        self._number = calls.number + 1
+        self._number, self._undone = calls.number + 1, False
         opening = calls.opening
         limit = limit or actuator.deadline
         applied = calls.begin("safe", wire.method, (command,), limit)
@@ -535,3 +539,9 @@ class SafeCommand:
         if not (told.command is None or told.command is HOLD or told.is_safe):
             with contextlib.suppress(Exception):  # it may be gone, or not obey
                 await self._tell(self.turn_within)
+
+    async def at_last(self, within: float) -> None:
+        """Send it to a device that is closed now, if a motion has ended after it."""
+        if self._undone:
+            with contextlib.suppress(Exception):  # it may be gone, or not obey
+                await self._tell(min(within, self.turn_within))

@@ -179,6 +179,9 @@ class Opener:
             if self.calls.alive:
                 await self.calls.quiet(until - LAST_CLOSE)
             left = until - asyncio.get_running_loop().time()
+            if isinstance(self._channel, ActuatorChannel):
+                await self._channel.safe.at_last(max(LAST_CLOSE, left))
+                left = until - asyncio.get_running_loop().time()
             if driver.uses_threads:
                 tag = self.resource.name, "stuck"
                 left = 0.0 if ask_outside(tag, lambda: driver.is_stuck) else left
