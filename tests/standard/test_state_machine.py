@@ -298,7 +298,9 @@ class SupervisorMachine(RuleBasedStateMachine):
             if reachable:
                 assert resource.commands[-1] == SAFE
             if resource.answers and not resource.alive:
-                assert resource.commands[-1] == SAFE, "a motion came after the last safe"
+                assert resource.commands[-1] == SAFE, (
+                    "a motion came after the last safe"
+                )
             self.removed_devices.append(resource)
             self.counts = [len(each.commands) for each in self.removed_devices]
 
