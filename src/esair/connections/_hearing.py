@@ -37,6 +37,9 @@ READY = ResourceState.READY  # hot
 
 WAITING_LIMIT = 1024  # how many readers may wait for one sensor at a time
 
+AT_ONCE = 100
+"""How many values of a stream that never waits come in before others go on."""
+
 LISTEN_AGAIN = 0.1
 """The pause before a stream that raised is asked for again, in seconds."""
 
@@ -364,12 +367,8 @@ class Listening:
             try:
                 stream = sensor.stream()
                 if isinstance(stream, AsyncIterator):
-                    async for value in stream:
-                        if not self._heard(value, calls, opening):
-                            if isinstance(stream, AsyncGenerator):
-                                # The collector would do it, at any moment.
-                                await stream.aclose()
-                            return
+                    if not await self._listen_to(stream, calls, opening):
+                        return
                 elif not await self._listen_blocking(iter(stream), calls, opening):
                     return
                 error = DeviceLostError(device.name, "its stream has ended")
@@ -385,6 +384,24 @@ class Listening:
             if opening != calls.opening:
                 return
             await asyncio.sleep(LISTEN_AGAIN)
+
+    async def _listen_to(
+        self, values: AsyncIterator[Any], calls: Calls, opening: int
+    ) -> bool:
+        left = AT_ONCE
+        try:
+            async for value in values:
+                if not self._heard(value, calls, opening):
+                    return False
+                left -= 1
+                if not left:  # it may always have one more, and never wait
+                    await asyncio.sleep(0)
+                    left = AT_ONCE
+        finally:
+            if isinstance(values, AsyncGenerator):
+                # The collector would do it, at any moment.
+                await values.aclose()
+        return True
 
     async def _listen_blocking(
         self, values: Iterator[Any], calls: Calls, opening: int
