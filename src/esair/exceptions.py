@@ -427,6 +427,15 @@ def hint_for(word: str, known: Iterable[str], has: str = "there are") -> str:
     return did_you_mean(word, names) or f"; {has} {shown or 'none'}"
 
 
+def lookable(error: BaseException) -> BaseException:
+    """Return an error that can be asked for its class: one of a user's may raise then."""
+    try:
+        isinstance(error, EsairError)
+    except BaseException:
+        return RuntimeError(f"{describe(error)} (an error that cannot be looked at)")
+    return error
+
+
 def describe(error: BaseException) -> str:
     """Name an error in one line, even one whose own ``__str__`` raises.
 
@@ -437,7 +446,7 @@ def describe(error: BaseException) -> str:
         text = printable(" ".join(str(error).split()))
     except BaseException:  # a user's __str__ may raise anything
         text = "(its text cannot be shown)"
-    if text and isinstance(error, DeviceLostError):
+    if text and issubclass(type(error), DeviceLostError):
         return text
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 

@@ -311,6 +311,9 @@ class ReactionRunner:
                 output.decide(result)
         except BadValueError:  # told, and blind
             return
+        except BaseException as error:  # contained: what it returns is of any class
+            self.crash(error)
+            return
         if self.blind and not self.stopped:
             if self.flaw is not None:
                 self.unpark()

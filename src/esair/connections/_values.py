@@ -369,7 +369,7 @@ def equal(one: Any, other: Any) -> bool:
     try:
         same = one == other
         return bool(same.all()) if hasattr(same, "all") else bool(same)
-    except Exception:  # a value may be an object of any class
+    except BaseException:  # a value may be an object of any class
         return False
 
 
@@ -523,7 +523,7 @@ class CommandCheck:
             return command
         except BadValueError:
             raise
-        except Exception as error:  # a command may be an object of any class
+        except BaseException as error:  # a command may be an object of any class
             raise self._bad("", f"it cannot be checked: {describe(error)}") from error
 
     def slewed(self, command: Any, last: Any, seconds: float) -> Any:
@@ -552,6 +552,8 @@ class CommandCheck:
         return BadValueError(self.name, field or "command", told)
 
     def _accept(self, command: Any, wanted: type) -> Any:
+        if wanted is float and isinstance(command, float):
+            return float.__float__(command)  # its own class may compare as it likes
         if isinstance(command, wanted) and not (
             wanted is int and isinstance(command, bool)
         ):
@@ -712,7 +714,7 @@ class ReadingCheck:
                 float(value)  # a whole number may be too large for one
             found = flaw(value, rows=True)
             return self._outside(value) if found is None else _told(found, value)
-        except Exception as error:  # a value may be an object of any class
+        except BaseException as error:  # a value may be an object of any class
             return f"it cannot be checked: {describe(error)}"
 
     def _outside(self, value: Any) -> str | None:
@@ -726,7 +728,7 @@ class ReadingCheck:
 
 def measured_at(stamped: Stamped[Any], now: float) -> float | str:
     """Return when a value was measured, or say what is wrong with its stamp."""
-    with contextlib.suppress(Exception):  # it may be an object of any class
+    with contextlib.suppress(BaseException):  # it may be an object of any class
         at = now - stamped.age if stamped.time is None else stamped.time
         if math.isfinite(at) and at <= now + AHEAD:
             return min(at, now)

@@ -26,6 +26,7 @@ from esair.exceptions import (
     BehaviorRemovedError,
     EsairError,
     describe,
+    lookable,
 )
 from esair.journal import Kind
 from esair.loop import (
@@ -350,6 +351,7 @@ class Member:
 
     def _crashed(self, error: BaseException) -> None:
         """Make safe what it held, and start it again unless its budget is spent."""
+        error = lookable(error)
         self.mail.error = error
         self.life.tell(Kind.CRASHED, error, describe(error))
         self.sight.blind(f"it failed: {describe(error)}")
