@@ -49,6 +49,7 @@ from esair.loop import (
     check_priority,
     collector,
     leave_behind,
+    now,
     outside,
     spawn,
     turn_of,
@@ -602,6 +603,7 @@ class Robot:
         except BaseException:
             await self._seat.close()  # its name is free again
             raise
+        self._resources.began = now()  # in a replay it is then only
         self.journal.start(loop)
         self._halts.start(loop)
         self._log_lines = LogLines(self.journal)

@@ -31,7 +31,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Journal, Kind
-from esair.loop import now, outside, spawn, wake
+from esair.loop import outside, spawn, wake
 from esair.messages import (
     NO_MODES,
     Access,
@@ -357,11 +357,12 @@ class ResourceDeployment:
         channel = self.actuators.channels.get(name)
         if channel is None:
             return
-        if channel.state is not ResourceState.READY:
-            await self.lives[name].last_try(until)
-            return
-        channel.make_safe()
-        await channel.safe.settled(until)
+        if channel.state is ResourceState.READY:
+            channel.make_safe()
+            await channel.safe.settled(until)
+        life = self.lives.get(name)
+        if channel.state is not ResourceState.READY and life is not None:
+            await life.last_try(until)  # also if it was given up meanwhile
 
     async def _undeploy(
         self, life: ResourceLife, state: ResourceState, until: float
@@ -396,7 +397,6 @@ class ResourceDeployment:
 
     def wake(self) -> None:
         """Let commands of the user wait from now on: the robot starts."""
-        self.began = now()
         self.commands.wake()
 
     async def start(self, resources: Sequence[Resource]) -> None:
