@@ -85,9 +85,9 @@ from esair.loop._threads import (
     had_turn,
     now,
     portal,
+    run_in_thread,
     sleep_in_thread,
     waits_in_line,
-    works_for,
 )
 from esair.loop._turn import GLANCE, SuspendWatch, TurnLoop, new_event_loop
 
@@ -166,6 +166,7 @@ __all__ = [
     "raisable",
     "refusal",
     "run_and_end",
+    "run_in_thread",
     "script_context",
     "settle",
     "sleep_in_thread",
@@ -176,5 +177,4 @@ __all__ = [
     "waits_in_line",
     "wake",
     "wake_one",
-    "works_for",
 ]

@@ -40,6 +40,52 @@ def works_for(loop: asyncio.AbstractEventLoop) -> None:
     _thread.loop = loop
 
 
+def run_in_thread(
+    loop: asyncio.AbstractEventLoop,
+    executor: concurrent.futures.Executor | None,
+    function: Callable[..., Any],
+    *args: Any,
+) -> asyncio.Future[Any]:
+    """Run a function in a thread for a loop whose time stands still meanwhile.
+
+    It begins when nothing in the loop is ready any more.
+    """
+    if executor is None:
+        executor = loop._default_executor  # type: ignore[attr-defined]  # noqa: SLF001
+        if executor is None:
+            executor = concurrent.futures.ThreadPoolExecutor(
+                thread_name_prefix="asyncio"
+            )
+            loop.set_default_executor(executor)
+    door = Door.of(loop)
+    future: asyncio.Future[Any] = loop.create_future()
+
+    def work_for_loop(work: int) -> Any:
+        works_for(loop)
+        door.begun(work)
+        return function(*args)
+
+    def begin(work: int) -> None:
+        inner = executor.submit(work_for_loop, work)
+        inner.add_done_callback(
+            lambda _: door.post(work, ("run_in_executor",), _settle, future, inner)
+        )
+
+    door.give_out(begin)
+    return future
+
+
+def _settle(future: asyncio.Future[Any], inner: concurrent.futures.Future[Any]) -> None:
+    if future.cancelled():
+        return
+    if inner.cancelled():
+        future.cancel()
+    elif (error := inner.exception()) is not None:
+        future.set_exception(error)
+    else:
+        future.set_result(inner.result())
+
+
 def sleep_in_thread(seconds: float) -> None:
     """Sleep in a thread that works for a robot, by the clock of `now`.
 

@@ -353,6 +353,7 @@ class Child(Exchange):
         self._of_threads = Portal(self.name, self.owner)
         self.owner.stream = Stream(given["stream"])
         self._stall = given["stall"]
+        self.loop.is_of_virtual = self._stall is not None
         if given["memory"] is not None:
             import resource
 

@@ -6,14 +6,20 @@ has done and when it wants to go on, and waits for a message, which brings the t
 
 from __future__ import annotations
 
+import asyncio
 import math
 import select
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final
 
-from esair.loop import SECOND, TurnLoop
+from esair.loop import SECOND, TurnLoop, run_in_thread
 
 if TYPE_CHECKING:
     from esair.placement._child import Child
+
+
+AT_ONCE: Final = 4
+"""How many passes the loop makes before it lets the robot have its turn."""
 
 
 class ChildLoop(TurnLoop):
@@ -29,8 +35,11 @@ class ChildLoop(TurnLoop):
 
     def __init__(self, robot: int) -> None:
         self._now = 0.0
+        self.is_of_virtual = False
+        """Whether the robot's clock is not real: it stands still while a thread works."""
         self.passes = 0
         """How often it has gone on to what is ready."""
+        self._until = AT_ONCE
         super().__init__()
         self._robot = robot
         self._files: Any = self._selector._fd_to_key  # type: ignore[attr-defined]  # hot
@@ -44,6 +53,13 @@ class ChildLoop(TurnLoop):
     def slept(self) -> float:
         return 0.0
 
+    def run_in_executor(  # type: ignore[override]
+        self, executor: Any, func: Callable[..., Any], *args: Any
+    ) -> asyncio.Future[Any]:
+        """Run a function in a thread; where time is not real it waits for that."""
+        run = run_in_thread if self.is_of_virtual else TurnLoop.run_in_executor
+        return run(self, executor, func, *args)
+
     def _pass(self, timeout: float | None = None) -> Any:
         events = self._work_off()
         self._turn.number += 1
@@ -54,6 +70,8 @@ class ChildLoop(TurnLoop):
     def _work_off(self) -> Any:
         """Let go on what is ready, else threads, else what is due, else the robot."""
         ready, door = self._ready, self._turn.door  # type: ignore[attr-defined]
+        if ready and self.passes >= self._until:
+            self._give_turn()  # who works with pauses is heard in them
         while not (ready or self._stopping or door.entries):  # type: ignore[attr-defined]
             door.let_go()
             is_quiet = door.at_work == 0  # once: a thread may end at any moment
@@ -82,6 +100,15 @@ class ChildLoop(TurnLoop):
             if events or self._ready or self._turn.door.ripen(works=True):  # type: ignore[attr-defined]
                 self.home.tick()  # something of its own: it has to know when that is
                 break
+        self._hear()
+        return events
+
+    def _give_turn(self) -> None:
+        """Let the robot go on, and hear from it, though more is ready."""
+        self.home.idle(self._now)
+        self._hear()
+
+    def _hear(self) -> None:
         self._now = max(self._now, self.home.hear())
         self._clock_resolution = max(1e-9, 2 * math.ulp(self._now))
-        return events
+        self._until = self.passes + AT_ONCE

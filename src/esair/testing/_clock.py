@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import concurrent.futures
 import math
 import random
 import threading
 from collections.abc import Callable
 from typing import Any
 
-from esair.loop import NEVER, SECOND, TurnLoop, works_for
+from esair.loop import NEVER, SECOND, TurnLoop, run_in_thread
 from esair.testing._threads import LOOK, Threads
 
 STEP_BUDGET = 200_000  # How many passes of the loop may go by without any time passing
@@ -118,30 +117,7 @@ class VirtualLoop(TurnLoop):
         self, executor: Any, func: Callable[..., Any], *args: Any
     ) -> asyncio.Future[Any]:
         """Run a function in a thread; time stands still meanwhile."""
-        if executor is None:
-            executor = self._default_executor  # type: ignore[has-type]
-            if executor is None:
-                executor = concurrent.futures.ThreadPoolExecutor(
-                    thread_name_prefix="asyncio"
-                )
-                self._default_executor = executor
-
-        door = self._door
-        future: asyncio.Future[Any] = self.create_future()
-
-        def work_for_loop(work: int, *args: Any) -> Any:
-            works_for(self)
-            door.begun(work)
-            return func(*args)
-
-        def begin(work: int) -> None:
-            inner = executor.submit(work_for_loop, work, *args)
-            inner.add_done_callback(
-                lambda _: door.post(work, ("run_in_executor",), _settle, future, inner)
-            )
-
-        door.give_out(begin)
-        return future
+        return run_in_thread(self, executor, func, *args)
 
     async def shutdown_default_executor(self, *args: Any, **options: Any) -> None:
         """End the threads of `run_in_executor`."""
@@ -267,14 +243,3 @@ class _OfThread:
 
     def __call__(self, *args: Any) -> None:
         self._function(*args)
-
-
-def _settle(future: asyncio.Future[Any], inner: concurrent.futures.Future[Any]) -> None:
-    if future.cancelled():
-        return
-    if inner.cancelled():
-        future.cancel()
-    elif (error := inner.exception()) is not None:
-        future.set_exception(error)
-    else:
-        future.set_result(inner.result())
