@@ -101,9 +101,12 @@ class Nursery:
                 return
             if Nursery._one is self:
                 Nursery._one = None
-            self._control.close()
-            self._process.kill()  # its children die with it
-            self._process.wait()
+            self._control.close()  # it ends what it has made, and itself
+            try:
+                self._process.wait(_PATIENCE)
+            except subprocess.TimeoutExpired:
+                self._process.kill()  # its children die with it
+                self._process.wait()
 
     def wait(self) -> None:
         """Wait until it can make children, in a thread."""
@@ -252,6 +255,7 @@ class Server:
         code = 70
         try:
             _die_with_parent(self._pid)
+            os.setsid()  # what it starts ends with it
             keep = {0, 1, 2, wire, words}
             for name in os.listdir("/proc/self/fd"):
                 if int(name) not in keep:
@@ -277,6 +281,7 @@ class Server:
     def _reap(self, pidfd: int) -> None:
         self._poll.unregister(pidfd)
         pid, status = self._children.pop(pidfd)
+        _end_group(pid)  # while it is there no other process has its number
         _, code = os.waitpid(pid, 0)
         self._left.pop(pidfd, None)
         with contextlib.suppress(OSError):
@@ -287,11 +292,18 @@ class Server:
         os.close(pidfd)
 
     def _end(self) -> NoReturn:
-        for pidfd in self._children:
+        for pidfd, child in self._children.items():
             _kill(pidfd)
+            _end_group(child.pid)
         for child in self._children.values():
             os.waitpid(child.pid, 0)
         os._exit(0)
+
+
+def _end_group(pid: int) -> None:
+    """End what a child has started, if that is still of its group."""
+    with contextlib.suppress(OSError):
+        os.killpg(pid, signal.SIGKILL)
 
 
 def _kill(pidfd: int) -> None:
