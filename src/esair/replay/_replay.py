@@ -16,6 +16,7 @@ import attrs
 from esair.codec import Kinds, kinds_of
 from esair.exceptions import RecordingBrokenError, describe
 from esair.loop import Player, TurnLoop, run_and_end
+from esair.messages import is_placed
 from esair.recording import GIVEN, Kept, chunks_of, events_of, facts_of
 from esair.replay._compare import Comparison, Divergence, Span
 from esair.standard import (
@@ -92,7 +93,9 @@ class Replay:
             self._has_seat = self.about["seat"] == "yes"
             lasts = self.about["duration"]
             self._duration = number_of(lasts) if lasts else None
-        except (KeyError, ValueError) as error:
+            placed = json.loads(self.about.get("placed", "null"))
+            self._placed: set[str] | None = placed and {*map(str, placed)}
+        except (KeyError, ValueError, TypeError, RecursionError) as error:
             raise RecordingBrokenError(
                 str(path), f"what it tells about itself is damaged: {describe(error)}"
             ) from error
@@ -127,6 +130,14 @@ class Replay:
         except (KeyError, ValueError, TypeError, AttributeError, RecursionError):
             told = "what it tells about itself is damaged: options"
             raise RecordingBrokenError(str(self.path), told) from None
+
+    def _place(self, robot: Robot) -> None:
+        """Have components live where they did: a switch may have said so for that run."""
+        if self._placed is None:
+            return  # an earlier esair has kept none of it
+        for each in (*robot.plan.resources, *robot.plan.behaviors):
+            if is_placed(each) is not (each.name in self._placed):
+                each.placement = "process" if each.name in self._placed else "task"
 
     def run(
         self,
@@ -192,6 +203,7 @@ class Replay:
             turn_of=lambda moment: self._turn_of(moment, has_tape=player is not None),
             diverged=diverged,
         )
+        self._place(robot)
         prepare_replay(robot, self.seed, has_seat=self._has_seat)
         listener = robot.journal.listen(comparison.hear, backlog=1 << 20)
         listener.is_waited_for = True  # what it was not told yet would be missed

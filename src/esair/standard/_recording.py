@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from esair.exceptions import ConfigError, RecordingError, describe
 from esair.loop import turn_of
-from esair.messages import Recording
+from esair.messages import Recording, is_placed
 from esair.resources import Resource, settings_of
 
 if TYPE_CHECKING:
@@ -152,7 +152,9 @@ class Keeping:
                 waits=turn_of(loop).virtual,
             )
             about = self._replay(loop, file, simulated=simulated)
-            recorder.note("replay", {**about, "sha256": digest})
+            there = [*plan.resources, *plan.behaviors]
+            placed = json.dumps([each.name for each in there if is_placed(each)])
+            recorder.note("replay", {**about, "sha256": digest, "placed": placed})
             journal.count("recording", lambda: [("recording", recorder.counts())])
             if turn_of(loop).repeats:
                 turn_of(loop).keep(recorder.keep_turns())
