@@ -116,6 +116,11 @@ class Wheels(FakeActuator[float]):
         return 2 * (self._faults.delay + self._faults.ack) < GRACE
 
     @property
+    def comes_to_rest(self) -> bool:
+        """Whether nothing is on its way, and a command and safe had time to land."""
+        return self.answers and self.is_quick and not self.alive
+
+    @property
     def is_odd(self) -> bool:
         """Whether it takes its time, or swallows cancellations."""
         faults = self._faults
@@ -297,7 +302,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         if name == "wheels":
             if reachable:
                 assert resource.commands[-1] == SAFE
-            if resource.answers and not resource.alive:
+            if resource.comes_to_rest:
                 assert resource.commands[-1] == SAFE, (
                     "a motion came after the last safe"
                 )
@@ -619,7 +624,7 @@ class SupervisorMachine(RuleBasedStateMachine):
                 assert told.answered or unsettled or not reachable, told
             if reachable:  # also if it was lost: there is a last try
                 assert wheels.commands[-1] == SAFE
-            if wheels is not None and wheels.answers and not wheels.alive:
+            if wheels is not None and wheels.comes_to_rest:
                 assert wheels.commands[-1] == SAFE, "a motion came after the last safe"
 
             async def left() -> set[asyncio.Task[Any]]:

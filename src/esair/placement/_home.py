@@ -252,10 +252,11 @@ class RemotePort:
 
     async def _values(self) -> AsyncGenerator[Any, None]:
         child = self._child
-        number = await child.call("values", self._key)
+        number, value = await child.call("values", self._key)
         try:
             while True:
-                yield await child.call("next", number)
+                yield value
+                value = await child.call("next", number)
         finally:
             child.note("left", number)
 

@@ -31,7 +31,7 @@ from esair.messages import Placement, placement_of
 from esair.placement._nursery import Nursery
 from esair.placement._process import Process
 from esair.placement._verbs import Asked, BehaviorVerbs, StepSeat, Verbs, verbs_of
-from esair.placement._wire import ALWAYS, CALLS, End, Item
+from esair.placement._wire import ALWAYS, CALLS, End, Item, packed
 from esair.plan import recipe_of
 from esair.resources import Resource
 
@@ -188,8 +188,7 @@ class Seat:
     def reply(self, op: bytes, number: int, value: Any) -> None:
         """Tell the child something about a call or a request."""
         if self.process is not None:
-            told = self.process.pack("news", value)
-            self.process.tell(Item(op, number, "", told))
+            self.process.tell(Item(op, number, "", self.pack("news", value)))
 
     def spawn(self, coroutine: Coroutine[Any, Any, None], name: str) -> object:
         """Do something in the name of the component."""
@@ -210,6 +209,10 @@ class Seat:
         if self.process is None:
             raise ProcessDiedError(self.name, "is not there")
         return self.process
+
+    def pack(self, verb: str, value: Any) -> bytes:
+        """Return a value as it crosses, or raise what its sender gets."""
+        return packed(self.name, self._seats.kinds, verb, value)
 
     def works(self) -> Iterable[asyncio.Task[Any]] | None:
         """Return what its process waits for; None if that may go on by itself."""
@@ -399,11 +402,23 @@ class PlacedRunner(ReactionRunner):
         step = (list(senses.values), clock.now_ms, clock.elapsed_ms)
         try:
             self._seat.decide(step, self._answered)
+        except BadValueError as error:  # a reading is no plain data: the next may be
+            self._is_blind(str(error))
+            return
         except Exception as error:
             self.crash(error)
             return
         self._owes, self._began = True, now
-        self._late_at.start(now + self.patience)
+        self._late_at.start(self._may_owe_until(now))
+
+    def _may_owe_until(self, now: float) -> float:
+        """Return when it is blind: nobody else moves what it has held until then."""
+        until = now + self.patience
+        for each in self.outputs.all.values():
+            hold = each.channel.hold
+            if hold.present(now) is each.registration:
+                until = min(until, hold.until)
+        return until
 
     def _answered(self, value: Any, error: BaseException | None) -> None:
         if self.stopped:
@@ -431,7 +446,10 @@ class PlacedRunner(ReactionRunner):
         return self._answer
 
     def _owes_for_too_long(self) -> None:
-        told = f"it owes an answer for {self.patience:g} s"
+        told = f"it owes an answer for {self.time() - self._began:.3g} s"
+        self._is_blind(told)
+
+    def _is_blind(self, told: str) -> None:
         self.park(told)
         self.flaw = BadValueError(self.reaction.name, "react", told)
 

@@ -290,10 +290,13 @@ class BehaviorVerbs(PortVerbs):
     def _next_stage(self, number: int) -> None:
         wake(next(self._stages.get(number, iter(())), None))
 
-    async def _values(self, _: Asked, key: str) -> int:
+    async def _values(self, _: Asked, key: str) -> tuple[int, Any]:
+        """Begin a loop over a port, and wait for its first value as the port would."""
+        values = aiter(self._find(key, "reading", AWAITED))
+        first = await anext(values)
         number = self._next()
-        self._streams[number] = aiter(self._find(key, "reading", AWAITED))
-        return number
+        self._streams[number] = values
+        return number, first
 
     async def _close_values(self, _: Asked, number: int) -> None:
         await self._streams.pop(number).aclose()

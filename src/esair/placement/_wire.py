@@ -197,6 +197,18 @@ def _contents(data: bytes, beside: list[tuple[int, int, bytes]]) -> bytes:
             os.close(file)
 
 
+def packed(name: str, kinds: Kinds, verb: str, value: Any) -> bytes:
+    """Return a value as bytes.
+
+    Raises:
+        BadValueError: It cannot cross: which field of it, and why.
+    """
+    try:
+        return encode(value, kinds)
+    except CodecError as error:
+        raise BadValueError(name, verb, f"between processes {error}") from None
+
+
 class Exchange:
     """The calls of one side, and what it does for those of the other.
 
@@ -295,16 +307,7 @@ class Exchange:
         return taken
 
     def pack(self, verb: str, value: Any) -> bytes:
-        """Return a value as bytes.
-
-        Raises:
-            BadValueError: It cannot cross: which field of it, and why.
-        """
-        try:
-            return encode(value, self.kinds)
-        except CodecError as error:
-            what = f"between processes {error}"
-            raise BadValueError(self.name, verb, what) from None
+        return packed(self.name, self.kinds, verb, value)
 
     def unpack(self, data: bytes) -> Any:
         return decode(data, self.kinds)

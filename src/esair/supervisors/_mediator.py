@@ -91,6 +91,8 @@ class Mailbox:
     """Whether it is being removed, or has been: its actuators may still be."""
     is_quick: bool = True
     receives: bool = False
+    is_near: bool = False
+    """Whether it receives, and lives in this process: any data fits."""
 
     def __attrs_post_init__(self) -> None:
         self.senders = RequestQueue(self)
@@ -111,6 +113,7 @@ class Mailbox:
         if self.room and state is BehaviorState.RESTING:
             is_open = self.action.open_at_rest  # type: ignore[union-attr]
         self.receives = is_open and self.room > 0
+        self.is_near = self.receives and self.seat is None
 
     def failure(self) -> BehaviorFailedError:
         """Return what whoever needs it gets after it has failed for good."""
@@ -128,6 +131,15 @@ class Mailbox:
         if self.state is BehaviorState.FAILED:
             return self.failure()
         return BehaviorRemovedError(self.name, data)
+
+    def check_fits(self, verb: str, data: Any) -> None:
+        """Pass if data can reach it where it lives.
+
+        Raises:
+            BadValueError: It cannot cross to its process: which field, and why.
+        """
+        if self.seat is not None:
+            self.seat.pack(verb, data)
 
     def check_speaker(self) -> None:
         """Pass if the code that runs now may act in the name of the behavior."""
@@ -434,7 +446,7 @@ class Mediator(Ledger):
         member = self.boxes.get(receiver)
         if (
             member is None
-            or not member.receives
+            or not member.is_near
             or self.closed
             or interval.__class__ is not float
             or not 0.0 < interval <= _LONGEST
@@ -460,6 +472,7 @@ class Mediator(Ledger):
     ) -> None:
         """Hand data to a behavior; see `BehaviorSupervisor.put`."""
         member = self._check(receiver, "interval", interval, data)
+        member.check_fits("put", data)
         if member.can_receive:
             member.deliver(data, sender)
             self.record("put", sender, receiver, _DELIVERED, data)
@@ -534,6 +547,7 @@ class Mediator(Ledger):
             raise _finished(member)
         if getattr(request, "_order", None) is not None:
             request = request.data  # it was taken, and is asked of somebody else
+        member.check_fits("ask", request)
         order = Order(request, sender, queue, by, self)
         self._begin(order, timeout, circle_of_ask(order, queue.busy(), member))
         if self.journal.heard.asked:

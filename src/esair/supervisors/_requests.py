@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from esair.actions import Request as Asked
 from esair.actions import Takes, taken
 from esair.exceptions import (
+    BadValueError,
     BehaviorFailedError,
     BehaviorUnavailableError,
     BusyError,
@@ -538,7 +539,12 @@ class Order(Request):
         self.queue.done_with(self)
         return False
 
+    def _check_fits(self, verb: str, value: Any) -> None:
+        if self.by is not None and not self.over:
+            self.by.check_fits(verb, value)
+
     def _answer(self, value: Any) -> bool:
+        self._check_fits("answer", value)
         return self.end(Outcome.ANSWERED, value) or self._ledger.late()
 
     def _refuse(self, reason: str) -> bool:
@@ -548,6 +554,7 @@ class Order(Request):
     def _progress(self, value: Any) -> bool:
         if self.over:
             return self._ledger.late()
+        self._check_fits("progress", value)
         self._news = value
         wake(self._wake)
         return True
@@ -555,7 +562,10 @@ class Order(Request):
     def served(self, value: Any, error: BaseException | None) -> None:
         if error is None:
             if not self.over or self.cancelled:
-                self.answer(value)  # counted, if nobody waits any more
+                try:
+                    self.answer(value)  # counted, if nobody waits any more
+                except BadValueError as unfit:
+                    self.fail(describe(unfit), unfit)
         elif isinstance(error, RefusedError) and not error.behavior:
             self.refuse(error.reason)
         else:
@@ -582,8 +592,15 @@ class Order(Request):
         if not _is_elsewhere(self.loop):
             return function(value)
         told: concurrent.futures.Future[bool] = concurrent.futures.Future()
+
+        def do() -> None:
+            try:
+                told.set_result(function(value))
+            except Exception as error:  # whoever has called it gets it
+                told.set_exception(error)
+
         try:
-            self.loop.call_soon_threadsafe(lambda: told.set_result(function(value)))
+            self.loop.call_soon_threadsafe(do)
         except RuntimeError:  # the loop is closed: nobody waits any more
             return False
         return told.result()
