@@ -142,6 +142,7 @@ class Seat:
         """End its process, if there is one, without a wait."""
         process, self.process = self.process, None
         if process is not None:
+            self._verbs.close()
             process.close()
 
     def begin(
@@ -321,6 +322,7 @@ class Seat:
                 process.answer(number, value, None)
 
     def _died(self, error: ProcessDiedError) -> None:
+        self._verbs.close()
         if self._on_death is not None:
             self._on_death(error)
 

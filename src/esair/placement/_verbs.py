@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 from esair import minimal
 from esair.actions import Behavior, Reaction, adapt_action
 from esair.exceptions import AccessDeniedError, ConfigError
-from esair.loop import clock_of, wake
+from esair.loop import clock_of, settle, wake
 from esair.messages import Access, Refused
 from esair.placement._wire import ASKED, AWAITED, CALLED, End, Op, make
 from esair.plan import SCRIPT
@@ -111,6 +111,9 @@ class Verbs:
         self.plain: dict[str, Callable[..., Any]] = {}
         self.waits: dict[str, Callable[..., Any]] = {}
 
+    def close(self) -> None:
+        """The process is gone: nothing comes of it any more."""
+
 
 def verbs_of(component: Any, seat: Seat) -> Verbs:
     """Return what the child of a component may ask for."""
@@ -170,6 +173,7 @@ class BehaviorVerbs(PortVerbs):
         self.orders: dict[int, Any] = {}
         """The requests that the child works on, by their number."""
         self._left: dict[int, asyncio.Future[BaseException | None]] = {}
+        self._is_over = False
         self.plain |= {
             # Not its own: that of a thread's behavior waits for a thread, in the child.
             "offer": lambda *args, **options: Behavior.offer(
@@ -364,6 +368,8 @@ class BehaviorVerbs(PortVerbs):
                 try:
                     error = await self._left[number]
                 except asyncio.CancelledError:
+                    if self._is_over:
+                        raise
                     loop = asyncio.get_running_loop()
                     left = self._left[number] = loop.create_future()
                     self._seat.reply(Op.WITHDRAWN, number, None)
@@ -374,6 +380,11 @@ class BehaviorVerbs(PortVerbs):
         except Exception as raised:  # its asker is told, and in the child its worker
             if raised is not error:
                 raise
+
+    def close(self) -> None:
+        self._is_over = True
+        for left in self._left.values():
+            settle(left, None, None)
 
     def _leave(self, number: int, error: bytes | None) -> None:
         left = self._left.pop(number, None)

@@ -1,0 +1,171 @@
+"""Components that a process could treat otherwise than a task."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import attrs
+
+import esair
+
+
+@attrs.frozen
+class Count(esair.Request[int]):
+    what: Any
+
+
+class Threads(esair.Behavior):
+    """Writes what a thread has computed."""
+
+    wheels = esair.writes(float)
+
+    async def run(self) -> None:
+        for number in range(1, 4):
+            value = await asyncio.to_thread(self.computed, number)
+            await self.wheels.write(value)
+        loop = asyncio.get_running_loop()
+        await loop.run_in_executor(None, time.sleep, 0.01)
+        await self.wheels.write(9.0)
+
+    def computed(self, number: int) -> float:
+        time.sleep(0.01)
+        return float(number)
+
+
+class Twice(esair.Behavior):
+    """Goes on with another loop over a port where it has left the first."""
+
+    sonar = esair.reads(float)
+    wheels = esair.writes(float)
+
+    async def run(self) -> None:
+        for wanted in (2, 3):
+            seen = 0
+            async for value in self.sonar:
+                await self.wheels.write(value)
+                seen += 1
+                if seen == wanted:
+                    break
+
+
+class Plans(esair.Behavior):
+    """Works for a second with a pause each millisecond, and drives meanwhile."""
+
+    wheels = esair.writes(float)
+
+    async def run(self) -> None:
+        async with asyncio.TaskGroup() as tasks:
+            drives = tasks.create_task(self.drive())
+            end = time.monotonic() + 1.0
+            while time.monotonic() < end:
+                until = time.monotonic() + 0.001
+                while time.monotonic() < until:
+                    pass
+                await asyncio.sleep(0)
+            drives.cancel()
+
+    async def drive(self) -> None:
+        while True:
+            await self.wheels.write(0.3)
+            await asyncio.sleep(0.05)
+
+
+class Receives(esair.Behavior):
+    inbox_size = 4
+    counts = esair.takes(Count)
+
+    async def run(self) -> None:
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self.hear())
+            async for count in self.counts:
+                async with count:
+                    count.answer(1)
+
+    async def hear(self) -> None:
+        while True:
+            await self.receive()
+
+
+class Asks(esair.Behavior):
+    """Asks one that answers with what cannot cross."""
+
+    inbox_size = 1
+
+    async def run(self) -> None:
+        try:
+            await self.ask("answers", Count(1))
+        except esair.BehaviorFailedError as error:
+            self.offer(str(error), latest=True)
+        await self.receive()
+
+
+class Answers(esair.Behavior):
+    met = ""
+    counts = esair.takes(Count)
+
+    async def run(self) -> None:
+        async for count in self.counts:
+            with contextlib.suppress(esair.BadValueError):
+                async with count:
+                    try:
+                        count.answer(Path("/somewhere"))  # type: ignore[arg-type]
+                    except esair.BadValueError as error:
+                        self.met = str(error)
+                        raise
+
+
+class Looks(esair.Reaction):
+    camera = esair.reads(Any)
+    wheels = esair.writes(float)
+
+    def react(self, camera: Any) -> float:
+        return 0.5
+
+
+class Eyes(esair.Reaction):
+    """Hangs at its sixth reading."""
+
+    placement = esair.Placement(stall=0.7)
+    sonar = esair.reads(float)
+    wheels = esair.writes(float, priority=5)
+
+    def react(self, sonar: float) -> float:
+        if sonar > 5.0:
+            time.sleep(30.0)
+        return 0.2
+
+
+class Drive(esair.Behavior):
+    wheels = esair.writes(float)
+
+    async def run(self) -> None:
+        while True:
+            await self.wheels.write(9.0)
+            await asyncio.sleep(0.013)
+
+
+class Begins(esair.Behavior):
+    """Begins programs, and says which."""
+
+    async def run(self) -> None:
+        one = subprocess.Popen(["sleep", "1000"])  # noqa: ASYNC220 - as users do
+        other = await asyncio.create_subprocess_exec("sleep", "1000")
+        self.offer([one.pid, other.pid], latest=True)
+        await asyncio.sleep(1000.0)
+
+
+class Dies(esair.Behavior):
+    """Its process ends while it works on a request."""
+
+    counts = esair.takes(Count)
+
+    async def run(self) -> None:
+        async for count in self.counts:
+            async with count:
+                os._exit(3)

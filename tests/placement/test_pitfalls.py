@@ -1,0 +1,195 @@
+"""What fits, what pauses, what is begun beside: as a task does it, a process does it."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.placement.pitfalls import (
+    Answers,
+    Asks,
+    Begins,
+    Count,
+    Dies,
+    Drive,
+    Eyes,
+    Looks,
+    Plans,
+    Receives,
+    Threads,
+    Twice,
+)
+
+import esair
+from esair import BehaviorState
+from esair.testing import FakeActuator, FakeSensor
+
+pytestmark = [pytest.mark.virtual_clock, pytest.mark.xdist_group("placement")]
+
+IN_PROCESS = ["task", "process"]
+
+
+def placed(behavior: Any, place: Any) -> Any:
+    behavior.placement = place
+    return behavior
+
+
+async def until(done: Any, within: float = 20.0) -> None:
+    async with asyncio.timeout(within):
+        while not done():  # noqa: ASYNC110 - several things are looked at
+            await asyncio.sleep(0.01)
+
+
+def lives(pid: int) -> bool:
+    try:
+        with open(f"/proc/{pid}/stat") as stat:
+            return stat.read().rpartition(") ")[2][0] != "Z"
+    except OSError:
+        return False
+
+
+def state(robot: esair.Robot, name: str) -> BehaviorState:
+    return robot.behaviors.query(name).state
+
+
+@pytest.mark.promise("PLC-7")
+@pytest.mark.parametrize("place", IN_PROCESS)
+async def test_a_thread_that_computes_is_waited_for(place: str) -> None:
+    """On the virtual clock: it takes no time of the robot's."""
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0)
+    async with esair.Robot(
+        resources=[wheels], behaviors=[placed(Threads(), place)]
+    ) as robot:
+        await asyncio.sleep(0.5)
+        assert state(robot, "threads") is BehaviorState.FINISHED
+        assert wheels.commands[1:5] == [1.0, 2.0, 3.0, 9.0]
+
+
+@pytest.mark.promise("PLC-7")
+async def test_a_second_loop_over_a_port_begins_as_it_does_in_a_task() -> None:
+    """The device is asked no more often, so nothing is seen twice."""
+    commands = []
+    for place in IN_PROCESS:
+        wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0)
+        sonar = FakeSensor("sonar", 1.0, type=float, rate=20.0)
+        async with esair.Robot(
+            resources=[wheels, sonar], behaviors=[placed(Twice(), place)]
+        ):
+            await asyncio.sleep(0.013)
+            for number in range(2, 12):
+                sonar.feed(float(number))
+                await asyncio.sleep(0.05)
+        commands.append(wheels.commands)
+    assert commands[0] == commands[1]
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("PLC-1", "TURN-4")
+async def test_work_with_pauses_keeps_nobody_of_its_process_waiting() -> None:
+    """And is no hang, however long it takes."""
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0)
+    plans = Plans()
+    plans.placement = esair.Placement(stall=0.6)
+    async with esair.Robot(resources=[wheels], behaviors=[plans]) as robot:
+        await until(lambda: state(robot, "plans") is BehaviorState.FINISHED)
+        assert robot.behaviors.query("plans").restarts == 0
+        assert wheels.commands.count(0.3) >= 10
+
+
+@pytest.mark.promise("PLC-5", "BS-4")
+@pytest.mark.parametrize("data", [Path("/x"), "x" * 1_200_000], ids=["path", "large"])
+async def test_what_cannot_cross_is_an_error_of_who_sends_it(data: Any) -> None:
+    """Not of its receiver, which hears nothing of it."""
+    receives = placed(Receives(), "process")
+    async with esair.Robot(behaviors=[receives]) as robot:
+        await until(lambda: state(robot, "receives") is BehaviorState.RUNNING)
+        with pytest.raises(esair.BadValueError, match="between processes"):
+            await robot.behaviors.put(data, sender="user", receiver="receives")
+        with pytest.raises(esair.BadValueError, match=r"what: |more than"):
+            await robot.behaviors.ask(Count(data), sender="user", receiver="receives")
+        assert (
+            await robot.behaviors.ask(Count(1), sender="user", receiver="receives") == 1
+        )
+        assert robot.behaviors.query("receives").restarts == 0
+
+
+@pytest.mark.promise("PLC-5")
+async def test_an_answer_that_cannot_cross_is_an_error_of_who_gives_it() -> None:
+    """Its asker is told that it has failed, and why."""
+    answers = Answers()
+    async with esair.Robot(behaviors=[placed(Asks(), "process"), answers]) as robot:
+        await until(lambda: answers.met != "")
+        assert "no plain data" in await robot.behaviors.get(
+            sender="asks", receiver="user"
+        )
+        await robot.behaviors.put("end", sender="user", receiver="asks")
+        await until(lambda: state(robot, "asks") is BehaviorState.FINISHED)
+    assert "Path is no plain data" in answers.met
+
+
+@pytest.mark.promise("PLC-5", "PRO-1")
+async def test_a_reading_that_cannot_cross_blinds_and_crashes_nobody() -> None:
+    """The next one may be a good one."""
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0)
+    camera: FakeSensor[Any] = FakeSensor("camera", 1.0)
+    async with esair.Robot(
+        resources=[wheels, camera], behaviors=[placed(Looks(), "process")]
+    ) as robot:
+        await until(lambda: 0.5 in wheels.commands)
+        camera.feed(Path("/x"))
+        await asyncio.sleep(0.05)
+        assert state(robot, "looks") is BehaviorState.PARKED
+        assert wheels.commands[-1] == 0.0
+        camera.feed(2.0)
+        await until(lambda: wheels.commands[-1] == 0.5)
+        assert robot.behaviors.query("looks").restarts == 0
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("PLC-2", "PRO-1")
+async def test_nobody_drives_between_the_end_of_a_hold_and_blindness() -> None:
+    """A reaction hangs that was holding somebody off."""
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0)
+    sonar = FakeSensor("sonar", 1.0, type=float)
+    async with esair.Robot(
+        resources=[wheels, sonar], behaviors=[placed(Eyes(), Eyes.placement), Drive()]
+    ):
+        await until(lambda: 0.2 in wheels.commands)
+        begins = len(wheels.commands)
+        for number in range(1, 9):
+            sonar.feed(float(number))
+            await asyncio.sleep(0.05)
+        await asyncio.sleep(0.5)
+        assert 9.0 not in wheels.commands[begins:]
+        assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("PLC-4")
+async def test_programs_that_a_component_has_begun_end_with_it() -> None:
+    """Else a helper keeps the device that the next process needs."""
+    begins = placed(Begins(), "process")
+    async with esair.Robot(behaviors=[begins]) as robot:
+        await until(lambda: robot.behaviors.query("begins").can_send)
+        pids = await robot.behaviors.get(sender="begins", receiver="user")
+        assert all(map(lives, pids))
+
+    await until(lambda: not any(map(lives, pids)), within=2.0)
+
+
+@pytest.mark.promise("PLC-4", "SUP-3")
+async def test_a_dead_process_is_not_waited_for() -> None:
+    """It died twice while it worked on a request; its place is free at once."""
+    dies = placed(Dies(), "process")
+    async with esair.Robot(behaviors=[dies], grace=3.0) as robot:
+        for _ in range(2):
+            await until(lambda: state(robot, "dies") is BehaviorState.RUNNING)
+            with pytest.raises(esair.BehaviorFailedError):
+                await robot.behaviors.ask(Count(1), sender="user", receiver="dies")
+            await until(lambda: state(robot, "dies") is BehaviorState.RESTARTING)
+        loop = asyncio.get_running_loop()
+        began = loop.time()
+        await robot.behaviors.remove("dies")
+        assert loop.time() - began < 0.2
