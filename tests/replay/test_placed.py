@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 
 import pytest
-from tests.replay.soak import recorded, told_by
+from tests.replay.soak import folder_of_robot, recorded, told_by
+from tests.replay.test_replay import verbs
 
 pytestmark = [
     pytest.mark.real_clock,
@@ -48,3 +50,16 @@ async def test_a_repetition_says_whom_it_has_not_waited_for(tmp_path: Path) -> N
     words = ["-c", IMPATIENT.format(0.1)]
     told = await told_by(tmp_path, *words, hash_seed=2, patience=60.0)
     assert "was waited for in vain" in told.text, told.text
+
+
+@pytest.mark.promise("PLC-7", "REP-2")
+async def test_who_lived_elsewhere_for_one_run_does_so_in_its_repetition(
+    tmp_path: Path,
+) -> None:
+    """The file says nothing of it; the recording does."""
+    folder_of_robot(tmp_path)
+    run = "run robot.toml --for 1.0 --record run.mcap --placement follow=process"
+    code, said = await asyncio.to_thread(verbs, tmp_path, *run.split())
+    assert code == 0, said
+    code, said = await asyncio.to_thread(verbs, tmp_path, "replay", "run.mcap")
+    assert (code, said[:5]) == (0, "equal"), said

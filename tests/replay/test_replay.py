@@ -139,6 +139,47 @@ def test_a_command_that_a_thread_has_refused_is_refused_again(tmp_path: Path) ->
     assert Replay(path).run(make()).divergence is None
 
 
+class Echo(esair.Sensor[float]):
+    rate = 50.0
+
+    async def read(self) -> float:
+        return 1.0
+
+
+class Wheel(esair.Actuator[float]):
+    safe = 0.0
+
+    async def write(self, command: float) -> None:
+        """It takes no time."""
+
+
+class Tells(esair.Reaction):
+    """Decides by what it knows of time."""
+
+    rate = 70.0
+    echo = esair.reads(float, max_age=0.5)
+    wheel = esair.writes(float)
+
+    def react(self, echo: float) -> float:
+        return self.now_ms + self.elapsed_ms / 1024
+
+
+@pytest.mark.promise("REA-4", "REP-2")
+def test_a_reaction_is_told_the_same_moments_again(tmp_path: Path) -> None:
+    """Milliseconds are cut off, so the beginning has to be the same to the nanosecond."""
+
+    def make(record: esair.Recording | None = None) -> esair.Robot:
+        return esair.Robot(
+            resources=[Echo(), Wheel()], behaviors=[Tells()], record=record
+        )
+
+    path = tmp_path / "run.mcap"
+    esair.run(make(esair.Recording(path, min_free=0)), duration=0.5)
+    outcome = Replay(path).run(make())
+    assert outcome.divergence is None
+    assert outcome.equal > 50
+
+
 def verbs(folder: Path, *words: str, hash_seed: int = 1) -> tuple[int, str]:
     """Run ``esair`` in a process; return its exit code and all that it has said."""
     done = subprocess.run(
