@@ -40,7 +40,7 @@ class Lies(float):
 class NamelessError(Exception):
     """Raises when it is asked for its class."""
 
-    @property
+    @property  # type: ignore[misc]
     def __class__(self) -> Any:  # type: ignore[override]
         raise RuntimeError("no class")
 

@@ -142,6 +142,20 @@ async def test_resume_lets_nothing_from_before_leave(fake_actuator: Any) -> None
 
 
 @pytest.mark.promise("ROB-4")
+async def test_a_robot_that_was_resumed_before_its_start_moves(
+    fake_actuator: Any,
+) -> None:
+    """The halt before it is over."""
+    wheels = fake_actuator("wheels", safe=0.0)
+    robot = esair.Robot(resources=[wheels], behaviors=[Drive()])
+    robot.halt("not yet")
+    robot.resume()
+    async with robot:
+        await asyncio.sleep(0.1)
+        assert max(wheels.commands) > 0.0
+
+
+@pytest.mark.promise("ROB-4")
 async def test_a_robot_that_was_halted_before_starts_halted(fake_actuator: Any) -> None:
     """It moves when the user resumes it, and not before; also what is added later."""
     wheels, arm = fake_actuator("wheels", safe=0.0), fake_actuator("arm", safe=0.0)

@@ -320,3 +320,25 @@ async def test_what_cannot_be_a_step_is_told(wrong: str) -> None:
 
     outcome, _ = await told(act, behaviors=[other])
     assert isinstance(outcome, esair.ConfigError | esair.BadValueError), outcome
+
+
+class Registers(esair.Behavior):
+    """Uses what it registers for while it runs."""
+
+    async def run(self) -> Any:
+        self.port = await self.register("wheels", esair.Access.WRITE)
+        return await self.port.write(0.25)
+
+
+async def test_what_it_registers_for_is_its_own_and_ends_with_it() -> None:
+    """With its performer's name, by the declaration in its performer's class."""
+    step = Registers()
+
+    async def act(captain: Captain) -> Any:
+        return await captain.perform(step)
+
+    outcome, commands = await told(act)
+    assert outcome.command == 0.25
+    assert commands[1] == 0.25
+    with pytest.raises(esair.EsairError):
+        await step.port.write(0.25)

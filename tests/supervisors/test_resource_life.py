@@ -691,6 +691,65 @@ async def test_a_device_that_an_old_opening_may_have_set_up_is_opened_at_once() 
     assert after[0] - late < 0.15
 
 
+@pytest.mark.promise("SUP-4")
+async def test_the_users_restart_of_a_device_fills_its_budget() -> None:
+    """It may fail as often again before it has failed for good."""
+
+    class Sonar(esair.Sensor[float]):
+        restart = esair.Restart(max=1, within=1000.0, delay=0.1)
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.openings = 0
+
+        async def open(self) -> None:
+            self.openings += 1
+            raise ValueError("its answer makes no sense")
+
+        async def read(self) -> float:
+            return 1.0
+
+    sonar = Sonar()
+    async with esair.Robot(resources=[sonar]) as robot:
+        await asyncio.sleep(5.0)
+        assert robot.resources.query("sonar").state is ResourceState.FAILED
+        failed_after = sonar.openings
+        restarting = asyncio.create_task(robot.resources.restart("sonar"))
+        await asyncio.sleep(5.0)
+        assert robot.resources.query("sonar").state is ResourceState.FAILED
+        assert sonar.openings == 2 * failed_after
+        await asyncio.wait({restarting})
+
+
+@pytest.mark.promise("SC-2")
+async def test_a_device_is_asked_no_more_when_nobody_follows_it() -> None:
+    """Polling begins with the first who follows, and ends with the last."""
+
+    class Sonar(esair.Sensor[float]):
+        rate = 20.0
+        asked = 0
+
+        async def read(self) -> float:
+            self.asked += 1
+            return 1.0
+
+    class Look(esair.Behavior):
+        sonar = esair.reads(float)
+
+        async def run(self) -> None:
+            async for _ in self.sonar:
+                continue
+
+    sonar = Sonar()
+    async with esair.Robot(resources=[sonar], behaviors=[Look()]) as robot:
+        await asyncio.sleep(0.5)
+        assert sonar.asked > 5
+        await robot.behaviors.remove("look")
+        asked = sonar.asked
+        await asyncio.sleep(1.0)
+        assert sonar.asked == asked
+
+
 @pytest.mark.promise("ROB-2")
 async def test_an_opening_that_ends_after_the_last_try_is_closed() -> None:
     """The stop waits for it, and closes it."""
