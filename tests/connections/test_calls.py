@@ -212,6 +212,33 @@ async def test_a_motion_that_ends_while_the_stop_waits_for_it_is_followed_by_saf
         await writing
 
 
+@pytest.mark.promise("AC-4", "ROB-2")
+async def test_a_safe_command_that_fails_once_at_an_opening_is_tried_again(
+    user_of: Any,
+) -> None:
+    """The device is there, and moves: its next opening may be seconds away."""
+
+    class Fails(Motor):
+        fails = 0
+
+        async def write(self, command: float) -> None:
+            if not command and self.fails:
+                self.fails -= 1
+                raise ValueError("its answer makes no sense")
+            await super().write(command)
+
+    motor = Fails(0.0, name="motor")
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]) as robot:
+        await user.motor.write(1.0)
+        motor.fails = 2
+        motor.report_lost(ConnectionResetError("unplugged"))
+        await asyncio.sleep(0.2)
+        assert motor.landed == [0.0, 1.0, 0.0]
+        assert robot.resources.query("motor").state is ResourceState.READY
+        assert robot.resources.query("motor").losses == 1
+
+
 @pytest.mark.promise("CALL-1", "CALL-2")
 @pytest.mark.parametrize(("takes", "answered"), [(30.0, False), (3.0, True)])
 async def test_a_motion_given_up_before_the_stop_is_named_while_it_lives(

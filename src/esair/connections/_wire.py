@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from esair.connections._device import Device
     from esair.connections._sensor_channel import AppliedChannel
 
+_ABSENT = DeviceLostError, DriverStuckError, EOFError, OSError
+"""The errors of a device that is not there, or says nothing."""
+
 SAFE_TRIES = 3
 """How often the safe command is tried before the actuator counts as unsafe."""
 
@@ -527,11 +530,19 @@ class SafeCommand:
         """Send it to a device that was just opened."""
         # What has ended until now, it is sent after; `up` sends it after what follows.
         self.state, self._stays = ON_ITS_WAY, False
-        try:
-            await self._tell()
-        except BaseException as error:
-            self._wire.told.error = describe(error)
-            raise
+        for left in reversed(range(SAFE_TRIES)):
+            try:
+                await self._tell()
+                return
+            except BaseException as error:
+                self._wire.told.error = describe(error)
+                # One that is there would move on until the next opening, which may be late.
+                is_there = isinstance(error, Exception) and not isinstance(
+                    error, _ABSENT
+                )
+                if not left or not is_there:
+                    raise
+            await asyncio.sleep(0.01)
 
     async def at_closing(self) -> None:
         """Send it to a device that is to be closed: it may move still."""
