@@ -7,6 +7,7 @@ A path is ``twist.twist.linear.x``. ``:yaw`` makes an angle of a quaternion, ``:
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -157,6 +158,8 @@ READY: Final[Mapping[str, tuple[type, Mapping[str, str]]]] = {
 """Types of ROS with a class here, and the paths of what fields may be called."""
 
 _ROWS: Final = {"tf2_msgs/msg/TFMessage": "transforms"}
+_ONE: Final = re.compile(r"std_msgs/msg/(Float|U?Int|String|Bool)?(?!.*Array)")
+_OF_ONE: Final = {"Float": float, "Int": int, "UInt": int, "String": str, "Bool": bool}
 
 
 @attrs.frozen
@@ -174,6 +177,11 @@ class Form:
     fields: Mapping[str, str] | str = ""
     fixed: Mapping[str, Any] = attrs.field(factory=dict)
     rows: str = ""
+
+    @property
+    def type(self) -> Any:
+        """The type of the values, as far as it is known."""
+        return tuple if self.rows else self.kind or Any
 
     def value(self, message: Any) -> Any:
         """Return what a message is here.
@@ -244,8 +252,9 @@ def form_of(
     if isinstance(fields, str):
         return Form(kind, fields, fixed)
     if shape is None or (kind or ready) not in shape:
-        is_one = ros.startswith("std_msgs/msg/") and not ros.endswith("Array")
-        return Form(kind, "data" if is_one and fields is None else "", fixed)
+        if fields is None and (one := _ONE.match(ros)) is not None:
+            return Form(kind or _OF_ONE.get(one[1]), "data", fixed)
+        return Form(kind, "", fixed)
     kind = kind or ready
     known = dict(paths or {})
     told, about = {}, shape.shape(kind)
