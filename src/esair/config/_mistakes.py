@@ -68,9 +68,9 @@ class Lines:
                 inside = quotes if not inside else ("" if quotes == inside else inside)
 
     def put(self, key: str, instead: str) -> None:
-        """Let a key that is not in the text be found where another one is."""
-        if instead in self._lines:
-            self._lines.setdefault(key, self._lines[instead])
+        """Let a key that is not in the text be found where another one is, or its table."""
+        if (line := self.of(instead)) is not None:
+            self._lines.setdefault(key, line)
 
     def of(self, key: str) -> int | None:
         """Return the line of a key, or of the nearest key above it."""

@@ -2,21 +2,21 @@
 
 Remote sensors and actuators stand for tables of their kinds, on a bus that has the name of
 the peer; so does a sensor that tells how the peer is heard. What is shared is one behavior
-for each peer, with the peer's name.
+for each peer, with the peer's name. ROS is one more peer: ``_ros.py``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final
 
 import attrs
 
 from esair.actions import Behavior, declared_requests, is_request
 from esair.config._classes import find_class
-from esair.config._draft import Draft, Part
-from esair.config._mistakes import dotted, unknown
+from esair.config._components import construct
+from esair.config._draft import Draft, Part, Variant
+from esair.config._mistakes import below, dotted, unknown
 from esair.config._source import Source
 from esair.config._tables import named_tables
 from esair.config._values import INVALID
@@ -26,30 +26,8 @@ from esair.values import type_name
 
 TABLES: Final = frozenset({"network", "remote", "share"})
 
-_KINDS: Final = ("sensor", "actuator", "behavior")
 _DRIVERS: Final = "esair.drivers.peer"
 _ACCESS: Final = {"sensor": "read", "actuator": "write", "behavior": "ask"}
-
-
-@attrs.frozen
-class _Tls:
-    """A table ``[network.tls]``."""
-
-    ca: Path
-    certificate: Path
-    key: Path
-
-
-@attrs.frozen
-class _Network:
-    """A table ``[network]``."""
-
-    name: str | None = None
-    listen: tuple[str, ...] = ()
-    connect: tuple[str, ...] = ()
-    tls: _Tls | None = None
-    insecure: bool = False
-    connect_timeout: float = 0.2
 
 
 @attrs.frozen
@@ -69,61 +47,60 @@ class _RemoteBehavior:
     remote: str | None = None
 
 
-@attrs.define
+@attrs.frozen
 class Peers:
     """What a file says of peers, as far as it is sound.
 
     Attributes:
         me: The name of this robot on the network.
-        network: How the network is reached.
+        network: How the network is reached; None if that cannot be made.
         remotes: What is used of each peer: its kind, its local name, its table.
         shares: What is shared, by its name.
+        names: The names of the peers.
     """
 
     me: str
-    network: _Network
+    network: Any
     remotes: dict[str, list[tuple[str, str, dict[str, Any]]]]
     shares: dict[str, _Share]
-
-    @property
-    def names(self) -> list[str]:
-        """The names of the peers."""
-        shared = (each for share in self.shares.values() for each in share.to)
-        return list(dict.fromkeys([*self.remotes, *shared]))
+    names: tuple[str, ...]
 
 
-def read_peers(source: Source) -> Peers | None:
+def read_peers(draft: Draft) -> Peers | None:
     """Return what a file says of peers, and write the tables that it stands for."""
+    source = draft.source
     if TABLES.isdisjoint(source.data):
         return None
     remotes = dict(_remotes(source))
-    shares = {}
-    for name, table in named_tables(source, "share"):
-        share = source.convert(table, _Share, dotted("share", name))
-        if share is not INVALID:
-            shares[name] = share
-    network = source.convert(source.data.get("network", {}), _Network, "network")
-    if network is INVALID:
-        return None
+    told = {
+        name: source.convert(table, _Share, dotted("share", name))
+        for name, table in named_tables(source, "share")
+    }
+    shares = {name: each for name, each in told.items() if each is not INVALID}
     if "network" not in source.data:
-        told = "the table [network] is missing: expected listen, connect, or both"
-        source.mistakes.add("remote" if remotes else "share", told)
+        missing = "the table [network] is missing: expected listen, connect, or both"
+        source.mistakes.add("remote" if remotes else "share", missing)
         return None
-    robot = source.data.get("robot", {})
-    me = network.name or (robot.get("name") if isinstance(robot, dict) else None)
-    peers = Peers(str(me or "robot"), network, remotes, shares)
-    for peer in peers.names:
+    from esair.buses.peer import Network
+
+    table = dict(source.data["network"])
+    name = table.pop("name", draft.robot["name"])
+    me = source.convert(name, str, "network.name")
+    shared = (each for share in shares.values() for each in share.to)
+    names = tuple(dict.fromkeys([*remotes, *shared]))
+    variant = Variant(table, {each: below("network", each) for each in table})
+    given = {"me": me, "peers": names}
+    network = construct(source, Network, str(me), "network", variant, given=given)
+    for peer in names:
         if source.is_name("peer", peer, "share"):
             about = "remote" if peer in remotes else "share"
-            add_table(
-                source, about, "sensor", peer, {"driver": f"{_DRIVERS}:Peer"}, peer
-            )
+            add_table(source, f"{about}.{peer}", "sensor", peer, "Peer", {}, peer)
     for peer, found in remotes.items():
         for kind, name, table in found:
             if kind != "behavior":
-                whole = {"driver": f"{_DRIVERS}:Peer{kind.capitalize()}", **table}
-                add_table(source, f"remote.{peer}.{kind}", kind, name, whole, peer)
-    return peers
+                key, driver = dotted("remote", peer, kind, name), kind.capitalize()
+                add_table(source, key, kind, name, f"Peer{driver}", table, peer)
+    return Peers(str(me), network, remotes, shares, names)
 
 
 def _remotes(
@@ -133,21 +110,27 @@ def _remotes(
         found: list[tuple[str, str, dict[str, Any]]] = []
         for kind, parts in table.items():
             key = dotted("remote", peer, kind)
-            if kind not in _KINDS:
-                source.mistakes.add(key, unknown("table", kind, _KINDS))
-                continue
-            for name, part in parts.items() if isinstance(parts, dict) else ():
-                if isinstance(part, dict):
-                    found.append((kind, name, part))
-                    continue
-                source.wrong(dotted("remote", peer, kind, name), "a table", part)
-            if not isinstance(parts, dict):
+            if kind not in _ACCESS:
+                source.mistakes.add(key, unknown("table", kind, _ACCESS))
+            elif not isinstance(parts, dict):
                 source.wrong(key, "a table with a name for each", parts)
+            else:
+                for name, part in parts.items():
+                    if isinstance(part, dict):
+                        found.append((kind, name, part))
+                    else:
+                        source.wrong(below(key, name), "a table", part)
         yield peer, found
 
 
 def add_table(
-    source: Source, where: str, kind: str, name: str, table: dict[str, Any], peer: str
+    source: Source,
+    key: str,
+    kind: str,
+    name: str,
+    driver: str,
+    table: dict[str, Any],
+    peer: str,
 ) -> None:
     """Write a table of a part on the bus to a peer, as if it were in the file."""
     holder = source.data.setdefault(kind, {})
@@ -155,114 +138,129 @@ def add_table(
         told = (
             f"there is a {kind} {name!r} already: take another name, and remote = ..."
         )
-        source.mistakes.add(f"{where}.{name}", told)
+        source.mistakes.add(key, told)
         return
-    source.mistakes.lines.put(dotted(kind, name), f"{where}.{name}")
-    source.mistakes.lines.put(dotted(kind, name), where)
-    holder[name] = {**table, "bus": peer}
+    source.mistakes.lines.put(dotted(kind, name), key)
+    holder[name] = {"driver": f"{_DRIVERS}:{driver}", **table, "bus": peer}
     source.implied.add(name)
 
 
-def add_buses(draft: Draft, peers: Peers | None) -> None:
-    """Make the buses to the peers, before what is on them."""
-    if peers is None or not peers.names:
-        return
-    from esair.buses.peer import Network, PeerBus, Tls
+def add_buses(draft: Draft, key: str, names: Iterable[str], network: Any) -> None:
+    """Make the buses to peers, before what is on them; None if they cannot be reached.
 
-    mistakes, told = draft.source.mistakes, attrs.asdict(peers.network)
-    del told["name"]
-    told["tls"] = told["tls"] and Tls(**told["tls"])
-    network: Any = None
-    try:
-        network = Network(me=peers.me, peers=peers.names, **told)
-    except Exception as error:
-        mistakes.caught("network", error, "the network")
-    for peer in peers.names:
-        made = None
-        try:
-            made = None if network is None else PeerBus(name=peer, network=network)
-        except Exception as error:
-            mistakes.caught("network", error, "the network")
-        add_peer_bus(draft, peer, made)
+    In a simulation they are there as the robot is.
+    """
+    from esair.buses.peer import PeerBus
+
+    for peer in names:
+        about = draft.source, PeerBus, peer, key, Variant({}, {})
+        reached = network is not None
+        made = construct(*about, given={"network": network}, make=reached)
+        draft.parts.append(Part("bus", peer, made))
+        if draft.simulated:
+            draft.source.data.setdefault("bus", {}).setdefault(peer, {"sim": {}})
 
 
-def add_peer_bus(draft: Draft, peer: str, made: Any) -> None:
-    """Add the bus to a peer; in a simulation it is there as the robot is."""
-    draft.parts.append(Part("bus", peer, made))
-    if draft.simulated:
-        draft.source.data.setdefault("bus", {}).setdefault(peer, {"sim": {}})
-
-
-def add_behaviors(draft: Draft, peers: Peers | None) -> None:
+def add_behaviors(draft: Draft, peers: Peers) -> None:
     """Make what stands for behaviors of peers, and what each peer may do here."""
-    if peers is None:
-        return
-    from esair.peers import Share, Sharing, peer_behavior
-
     for peer, found in peers.remotes.items():
         for kind, name, table in found:
+            key = dotted("remote", peer, kind, name)
             if kind != "behavior":
                 continue
-            key = f"remote.{peer}.behavior.{name}"
-            told = draft.source.convert(table, _RemoteBehavior, key)
-            made = None
-            if told is not INVALID and (bus := draft.buses.get(peer)) is not None:
-                kinds = _requests(draft.source, key, told.requests)
-                if kinds:
-                    remote = told.remote or name
-                    made = peer_behavior(name, bus, kinds, remote=remote)  # type: ignore[arg-type]
-            draft.parts.append(Part("behavior", name, made))
-    kinds_of = {
-        part.name: part.kind
-        for part in draft.parts
-        if part.kind in _ACCESS and part.name not in peers.names
-    }
-    shared: dict[str, list[Share]] = {}
+            requests, told = [], draft.source.convert(table, _RemoteBehavior, key)
+            if told is not INVALID:
+                requests = requests_of(draft, f"{key}.requests", told.requests)
+            add_remote(draft, key, name, peer, requests, table.get("remote", name))
+    shared: dict[str, list[Any]] = {peer: [] for peer in peers.names}
     for name, share in peers.shares.items():
-        part_kind = kinds_of.get(name)
-        if part_kind is None:
-            told = unknown("sensor, actuator or behavior", name, kinds_of)
-            draft.source.mistakes.add(f"share.{name}", told)
-            continue
-        access: Any = _ACCESS[part_kind]
+        key, limits = dotted("share", name), (share.priority, share.rate)
+        one = share_of(draft, key, part_of(draft, key, name, *_ACCESS), *limits)
         for peer in share.to:
-            one = Share(name, access, priority=share.priority, rate=share.rate)
-            shared.setdefault(peer, []).append(one)
-    for peer in peers.names:
-        way: Any = draft.buses.get(peer)
-        if way is None:
-            continue
-        for part in draft.parts:
+            shared[peer].append(one)
+    for peer, shares in shared.items():
+        way: Any = draft.buses[peer]
+        for part in draft.parts if way is not None else ():
             if part.made is not None and part.kind != "bus":
                 way.declare(type(inner_of(part.made)))
-        if peer in shared:
-            sharing = None
-            try:
-                sharing = Sharing(bus=way, shares=shared[peer])
-            except Exception as error:
-                key = f"share.{shared[peer][0].name}"
-                draft.source.mistakes.caught(key, error, "the share")
-            draft.parts.append(Part("behavior", peer, sharing))
+        add_sharing(draft, "share", peer, shares)
 
 
-def _requests(source: Source, key: str, names: tuple[str, ...]) -> list[Any]:
-    found = []
+def part_of(draft: Draft, key: str, name: str, *kinds: str) -> Part | None:
+    """Return the part that a file names; it is a mistake that there is none."""
+    known = {
+        each.name: each
+        for each in draft.parts
+        if each.kind in kinds and each.bus != each.name  # a peer is not shared
+    }
+    if name not in known:
+        draft.source.mistakes.add(key, unknown(" or ".join(kinds), name, known))
+    return known.get(name)
+
+
+def requests_of(draft: Draft, key: str, names: Iterable[str]) -> list[Any]:
+    """Return the requests that a file names."""
+    source, found = draft.source, []
     for name in names:
-        where = f"{key}.requests"
-        kind = find_class(name, where, source.mistakes, group="", folder=source.folder)
+        kind = find_class(name, key, source.mistakes, group="", folder=source.folder)
         if kind is not None and not is_request(kind):
             told = f"{name!r} is not derived from esair.Request"
-            source.mistakes.add(where, told)
+            source.mistakes.add(key, told)
         elif kind is not None:
             found.append(kind)
     if not names:
-        source.mistakes.add(f"{key}.requests", "expected at least one, 'module:Class'")
+        source.mistakes.add(key, "expected at least one, 'module:Class'")
     return found
+
+
+def share_of(
+    draft: Draft, key: str, part: Part | None, priority: int = 0, rate: float = 20.0
+) -> Any:
+    """Return what a peer may do with a part; None if that is a mistake."""
+    from esair.peers import Share
+
+    if part is None:
+        return None
+    about = draft.source, Share, part.name, key, Variant({}, {})
+    given = {"access": _ACCESS[part.kind], "priority": priority, "rate": rate}
+    return construct(*about, given=given)
+
+
+def add_sharing(draft: Draft, key: str, peer: str, shares: Iterable[Any]) -> None:
+    """Add what a peer may do here, if it may do something."""
+    from esair.peers import Sharing
+
+    way: Any = draft.buses[peer]
+    found = [each for each in shares if each is not None]
+    if found and way is not None:
+        add_behavior(draft, key, peer, Sharing(bus=way, shares=found))
+
+
+def add_remote(
+    draft: Draft, key: str, name: str, peer: str, requests: list[Any], remote: str
+) -> None:
+    """Add what stands for a behavior of a peer."""
+    from esair.peers import peer_behavior
+
+    way: Any = draft.buses[peer]
+    is_sound = requests and way is not None
+    made = peer_behavior(name, way, requests, remote=remote) if is_sound else None
+    add_behavior(draft, key, name, made)
+
+
+def add_behavior(draft: Draft, key: str, name: str, made: Any) -> None:
+    """Add a behavior that a table stands for."""
+    if name in {each.name for each in draft.parts if each.kind == "behavior"}:
+        draft.source.mistakes.add(key, f"there is a behavior {name!r} already")
+        return
+    draft.source.mistakes.lines.put(dotted("behavior", name), key)
+    draft.parts.append(Part("behavior", name, made))
 
 
 def open_to_all(peers: Peers | None) -> str:
     """Say so if everybody who reaches the network could drive this robot."""
-    if peers is None or not peers.network.insecure or peers.network.tls is not None:
+    network = None if peers is None else peers.network
+    if network is None or not network.insecure or network.tls is not None:
         return ""
     return "everybody who reaches this network can drive this robot: use [network.tls]"
 
@@ -277,11 +275,13 @@ def pair_mistakes(mine: Draft, other: Draft) -> Iterator[tuple[str, str]]:
     if here is None or there is None or there.me not in here.remotes:
         return
     file = other.source.path.name
-    if here.network.connect and not there.network.listen:
-        yield "network.connect", f"{file} listens nowhere: expected listen = [...]"
-    if (here.network.tls is None) != (there.network.tls is None):
-        yield "network", f"{file} has {'no ' * (there.network.tls is None)}certificates"
+    if None not in (here.network, there.network):
+        if here.network.connect and not there.network.listen:
+            yield "network.connect", f"{file} listens nowhere: expected listen = [...]"
+        if (has := there.network.tls is not None) != (here.network.tls is not None):
+            yield "network", f"{file} has {'' if has else 'no '}certificates"
     parts = {each.name: each for each in other.parts}
+    made = {(each.kind, each.name): each.made for each in mine.parts}
     for kind, name, table in here.remotes[there.me]:
         key, remote = f"remote.{there.me}.{kind}.{name}", table.get("remote", name)
         share, part = there.shares.get(remote), parts.get(remote)
@@ -290,11 +290,8 @@ def pair_mistakes(mine: Draft, other: Draft) -> Iterator[tuple[str, str]]:
             yield key, f"{file} does not share {remote!r} with {here.me!r}: {told}"
         elif part is not None and part.kind != kind:
             yield key, f"{remote!r} is a {part.kind} in {file}"
-        elif part is not None and part.made is not None:
-            mine_made = {(each.kind, each.name): each for each in mine.parts}
-            local = mine_made.get((kind, name))
-            if local is not None and local.made is not None:
-                yield from _misfits(key, local.made, part.made, file)
+        elif part is not None and None not in (part.made, made.get((kind, name))):
+            yield from _misfits(key, made[kind, name], part.made, file)
 
 
 def _misfits(key: str, mine: Any, other: Any, file: str) -> Iterator[tuple[str, str]]:

@@ -16,7 +16,7 @@ from esair.config._draft import BEHAVIORS, Draft, Part
 from esair.config._mistakes import below, dotted, show, unknown
 from esair.config._network import TABLES as OF_NETWORK
 from esair.config._network import add_behaviors, add_buses, read_peers
-from esair.config._ros import add_bus, add_citizen, read_ros
+from esair.config._ros import BUS, add_citizen, read_ros
 from esair.config._source import Source, read_source
 from esair.config._tables import named_tables
 from esair.config._values import INVALID, WORDS, Invalid, make_of
@@ -47,20 +47,24 @@ def make_draft(source: Source, *, simulated: bool, robot_class: type) -> Draft:
             del source.data[name]
     _add_boards(source, robot_class)
     draft.robot = _read_robot(source, robot_class)
-    draft.peers = peers = read_peers(source)
-    ros = read_ros(source)
+    draft.peers = peers = read_peers(draft)
+    ros = read_ros(draft)
     for name, table in named_tables(source, "bus"):
         draft.parts.append(Part("bus", name, make_bus(draft, name, table)))
-    add_buses(draft, peers)
-    add_bus(draft, ros)
+    if peers is not None:
+        add_buses(draft, "network", peers.names, peers.network)
+    if ros is not None:
+        add_buses(draft, "ros", [BUS], ros.network)
     for kind, base in (("sensor", Sensor), ("actuator", Actuator)):
         for name, table in named_tables(source, kind):
             key = f"{kind}.{name}"
             draft.parts.append(make_device(draft, key, name, table, base))
     for name, table in named_tables(source, "behavior"):
         draft.parts.append(Part("behavior", name, make_behavior(draft, name, table)))
-    add_behaviors(draft, peers)
-    add_citizen(draft, ros)
+    if peers is not None:
+        add_behaviors(draft, peers)
+    if ros is not None:
+        add_citizen(draft, ros)
     draft.policies = read_policies(source)
     modes = {
         name: source.convert(table, Mode, f"mode.{name}")

@@ -68,6 +68,11 @@ class Share:
     priority: int = 0
     rate: float = 20.0
 
+    def __attrs_post_init__(self) -> None:
+        if not 0.0 < self.rate <= 1000.0:
+            told = f"expected more than 0 and at most 1000 Hz, not {self.rate!r:.80}"
+            raise ConfigError(self.name, "rate", told)
+
 
 class Sharing(Behavior):
     """What a peer may do here. It has the name of the peer: so ``why`` tells who writes.
@@ -84,12 +89,6 @@ class Sharing(Behavior):
 
     def __init__(self, *, bus: PeerBus, shares: Iterable[Share]) -> None:
         self.shares: dict[str, Share] = {each.name: each for each in shares}
-        for each in self.shares.values():
-            if not 0.0 < each.rate <= 1000.0:
-                told = (
-                    f"expected more than 0 and at most 1000 Hz, not {each.rate!r:.80}"
-                )
-                raise ConfigError(each.name, "rate", told)
         super().__init__(
             name=bus.name,
             reads={f"the_{name}": reads(Any, name=name) for name in self._all("read")},

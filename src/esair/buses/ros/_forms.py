@@ -7,6 +7,7 @@ A path is ``twist.twist.linear.x``. ``:yaw`` makes an angle of a quaternion, ``:
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -92,71 +93,43 @@ class Transform:
     rotation: tuple[float, ...]
 
 
-def _paths(*texts: str) -> dict[str, str]:
+def _paths(text: str) -> dict[str, str]:
     """Return the paths of ``field=path``; a lone word is both."""
-    found = [each.partition("=") for text in texts for each in text.split()]
+    found = (each.partition("=") for each in text.split())
     return {name: path or name for name, _, path in found}
 
 
-_FRAME: Final = "frame=header.frame_id"
-_MOVED: Final = _paths(
-    "parent=header.frame_id child=child_frame_id",
-    "translation=transform.translation:xyz rotation=transform.rotation:xyzw",
-    "x=transform.translation.x y=transform.translation.y",
-    "heading=transform.rotation:yaw",
-    _FRAME,
-)
+_TWIST: Final = "linear={0}linear.x lateral={0}linear.y angular={0}angular.z"
+_STAMPED: Final = _TWIST.format("twist.") + " frame=header.frame_id"
+_SCAN: Final = "first=angle_min step=angle_increment ranges frame=header.frame_id"
+_ODOMETRY: Final = f"""{_TWIST.format("twist.twist.")}
+    x=pose.pose.position.x y=pose.pose.position.y heading=pose.pose.orientation:yaw
+    child=child_frame_id frame=header.frame_id"""
+_JOINTS: Final = """names=name positions=position velocities=velocity efforts=effort
+    frame=header.frame_id"""
+_IMU: Final = """orientation=orientation:xyzw rotation=angular_velocity:xyz
+    acceleration=linear_acceleration:xyz frame=header.frame_id"""
+_IMAGE: Final = "width height encoding step data frame=header.frame_id"
+_MOVED: Final = """frame=header.frame_id parent=header.frame_id child=child_frame_id
+    translation=transform.translation:xyz rotation=transform.rotation:xyzw
+    x=transform.translation.x y=transform.translation.y heading=transform.rotation:yaw"""
 
 READY: Final[Mapping[str, tuple[type, Mapping[str, str]]]] = {
-    "geometry_msgs/msg/Twist": (
-        Twist,
-        _paths("linear=linear.x lateral=linear.y angular=angular.z"),
-    ),
-    "geometry_msgs/msg/TwistStamped": (
-        Twist,
-        _paths(
-            "linear=twist.linear.x lateral=twist.linear.y angular=twist.angular.z",
-            _FRAME,
-        ),
-    ),
-    "sensor_msgs/msg/LaserScan": (
-        Scan,
-        _paths("first=angle_min step=angle_increment ranges", _FRAME),
-    ),
-    "nav_msgs/msg/Odometry": (
-        Odometry,
-        _paths(
-            "x=pose.pose.position.x y=pose.pose.position.y",
-            "heading=pose.pose.orientation:yaw child=child_frame_id",
-            "linear=twist.twist.linear.x lateral=twist.twist.linear.y",
-            "angular=twist.twist.angular.z",
-            _FRAME,
-        ),
-    ),
-    "sensor_msgs/msg/JointState": (
-        Joints,
-        _paths(
-            "names=name positions=position velocities=velocity efforts=effort", _FRAME
-        ),
-    ),
-    "sensor_msgs/msg/Imu": (
-        Imu,
-        _paths(
-            "orientation=orientation:xyzw rotation=angular_velocity:xyz",
-            "acceleration=linear_acceleration:xyz",
-            _FRAME,
-        ),
-    ),
-    "sensor_msgs/msg/Image": (
-        Image,
-        _paths("width height encoding step data", _FRAME),
-    ),
-    "geometry_msgs/msg/TransformStamped": (Transform, _MOVED),
-    "tf2_msgs/msg/TFMessage": (Transform, _MOVED),
+    "geometry_msgs/msg/Twist": (Twist, _paths(_TWIST.format(""))),
+    "geometry_msgs/msg/TwistStamped": (Twist, _paths(_STAMPED)),
+    "sensor_msgs/msg/LaserScan": (Scan, _paths(_SCAN)),
+    "nav_msgs/msg/Odometry": (Odometry, _paths(_ODOMETRY)),
+    "sensor_msgs/msg/JointState": (Joints, _paths(_JOINTS)),
+    "sensor_msgs/msg/Imu": (Imu, _paths(_IMU)),
+    "sensor_msgs/msg/Image": (Image, _paths(_IMAGE)),
+    "geometry_msgs/msg/TransformStamped": (Transform, _paths(_MOVED)),
+    "tf2_msgs/msg/TFMessage": (Transform, _paths(_MOVED)),
 }
 """Types of ROS with a class here, and the paths of what fields may be called."""
 
 _ROWS: Final = {"tf2_msgs/msg/TFMessage": "transforms"}
+_ONE: Final = re.compile(r"std_msgs/msg/(Float|U?Int|String|Bool)?(?!.*Array)")
+_OF_ONE: Final = {"Float": float, "Int": int, "UInt": int, "String": str, "Bool": bool}
 
 
 @attrs.frozen
@@ -174,6 +147,11 @@ class Form:
     fields: Mapping[str, str] | str = ""
     fixed: Mapping[str, Any] = attrs.field(factory=dict)
     rows: str = ""
+
+    @property
+    def type(self) -> Any:
+        """The type of the values, as far as it is known."""
+        return tuple if self.rows else self.kind or Any
 
     def value(self, message: Any) -> Any:
         """Return what a message is here.
@@ -202,8 +180,6 @@ class Form:
             inner = attrs.evolve(self, rows="")
             values = value if type(value) in {tuple, list} else (value,)
             return {self.rows: [inner.message(each) for each in values]}
-        if self.fields == "" and not self.fixed:
-            return value
         made: dict[str, Any] = {}
         for path, fixed in self.fixed.items():
             _put(made, path, fixed)
@@ -240,29 +216,26 @@ def form_of(
     """
     ready, paths = READY.get(ros, (None, None))
     fixed = fixed or {}
-    shape = Kinds([kind or ready]) if kind or ready else None
     if isinstance(fields, str):
         return Form(kind, fields, fixed)
-    if shape is None or (kind or ready) not in shape:
-        is_one = ros.startswith("std_msgs/msg/") and not ros.endswith("Array")
-        return Form(kind, "data" if is_one and fields is None else "", fixed)
-    kind = kind or ready
-    known = dict(paths or {})
-    told, about = {}, shape.shape(kind)
-    for name in about.fields:
-        path = (fields or {}).get(name) or known.get(name)
-        if path is None and paths is None:
-            path = name
-        if path is not None:
-            told[name] = path
-        elif name not in about.defaults:
+    of: Any = kind or ready
+    kinds = Kinds([of])
+    if of not in kinds:
+        if fields is None and (one := _ONE.match(ros)) is not None:
+            return Form(kind or _OF_ONE.get(one[1]), "data", fixed)
+        return Form(kind, "", fixed)
+    shape, fields = kinds.shape(of), fields or {}
+    known = {**(dict.fromkeys(shape.fields) if paths is None else paths), **fields}
+    for name in shape.fields:
+        if name not in known and name not in shape.defaults:
             raise ValueError(
-                f"{kind.__qualname__}.{name} is none of {', '.join(known)} of {ros}: "
+                f"{of.__qualname__}.{name} is none of {', '.join(paths or ())} of {ros}: "
                 f"expected its path, fields = {{ {name} = '...' }}"
             )
-    if unknown := set(fields or {}) - set(about.fields):
-        raise ValueError(f"{kind.__qualname__} has no field {min(unknown)!r}")
-    return Form(kind, told, fixed, _ROWS.get(ros, ""))
+    if unknown := set(fields) - set(shape.fields):
+        raise ValueError(f"{of.__qualname__} has no field {min(unknown)!r}")
+    told = {name: known[name] or name for name in shape.fields if name in known}
+    return Form(of, told, fixed, _ROWS.get(ros, ""))
 
 
 def _get(message: Any, path: str) -> Any:
