@@ -102,11 +102,11 @@ class Nursery:
             if Nursery._one is self:
                 Nursery._one = None
             self._control.close()  # it ends what it has made, and itself
-            try:
-                self._process.wait(_PATIENCE)
-            except subprocess.TimeoutExpired:
-                self._process.kill()  # its children die with it
-                self._process.wait()
+            its_end = os.pidfd_open(self._process.pid)
+            select.select((its_end,), (), (), _PATIENCE)
+            os.close(its_end)
+            self._process.kill()  # its children die with it
+            self._process.wait()
 
     def wait(self) -> None:
         """Wait until it can make children, in a thread."""
