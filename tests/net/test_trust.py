@@ -6,14 +6,20 @@ import asyncio
 import random
 import subprocess
 import sys
+import threading
+import time
+import types
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.net.parts import STILL, Dock, Hand, Pair, Twist
 
 import esair
+from esair.buses import BusStats
 from esair.buses.peer import Network, PeerBus, Tls
 from esair.buses.peer._wire import FORMS, Head, packed, parts_of
+from esair.buses.peer._zenoh import _Peer
 from esair.codec import CodecError, Kinds
 from esair.drivers.peer import PeerActuator, PeerSensor
 from esair.peers import Share
@@ -207,3 +213,56 @@ def test_without_a_network_nothing_of_it_is_imported(tmp_path: Path) -> None:
         check=False,
     )
     assert done.stdout == "[]\n", done.stderr
+
+
+class Payload(bytes):
+    """What zenoh gives."""
+
+    def to_bytes(self) -> bytes:
+        return bytes(self)
+
+
+class SlowBus:
+    """A bus that needs its time for each message."""
+
+    name = "tablet"
+
+    def __init__(self) -> None:
+        self.stats = BusStats()
+        self.taken = 0
+
+    def came(self, what: str, data: bytes) -> bool:
+        self.taken += 1
+        until = time.monotonic() + 0.001
+        while time.monotonic() < until:
+            pass
+        return True
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("NET-6", "BUS-1")
+async def test_a_peer_that_floods_has_a_small_part_of_the_loop() -> None:
+    """However much it sends: what waits is bounded, in number and in bytes."""
+    bus: Any = SlowBus()
+    peer, way, ends = _Peer(bus), types.SimpleNamespace(line=None), threading.Event()
+
+    def flood() -> None:
+        while not ends.is_set():
+            peer.come(way, "beat", Payload(b"x" * 1000))  # type: ignore[arg-type]
+
+    thread = threading.Thread(target=flood)
+    thread.start()
+    loop = asyncio.get_running_loop()
+    try:
+        began, late = loop.time(), 0.0
+        for _ in range(40):
+            asked = loop.time() + 0.01
+            await asyncio.sleep(0.01)
+            late = max(late, loop.time() - asked)
+        seconds = loop.time() - began
+    finally:
+        ends.set()
+        thread.join()
+    assert late < 0.15
+    assert 10 < bus.taken < 600 * seconds
+    assert bus.stats.dropped > 0

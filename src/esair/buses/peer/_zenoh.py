@@ -8,6 +8,7 @@ rest where it comes in.
 from __future__ import annotations
 
 import asyncio
+import collections
 import contextlib
 import json
 import logging
@@ -39,6 +40,15 @@ _HERE: Final = re.compile(r"127(\.\d+){3}|localhost|\[::1\]")
 
 _WAITING: Final = 512
 """How many messages of a peer may wait for the loop; what comes then is dropped."""
+
+_BYTES: Final = 4 * LIMIT
+"""How many bytes they may have."""
+
+_SLICE: Final = 0.002
+"""How long the loop takes messages of a peer at once, in seconds."""
+
+_PAUSE: Final = 3.0
+"""How much longer it goes on with all else then, if more of them wait."""
 
 _OPENING: Final = 1.5  # how long a session may take to open, in seconds
 
@@ -121,14 +131,56 @@ class _Peer:
 
     def __init__(self, bus: PeerBus) -> None:
         self.bus = bus
-        self.door = Door.of(asyncio.get_running_loop())
-        self.room = threading.BoundedSemaphore(_WAITING)
+        self._loop = asyncio.get_running_loop()
+        self._door = Door.of(self._loop)
+        self._tag = ("peer", bus.name)
+        self._lock = threading.Lock()
+        self._waiting: collections.deque[tuple[_Session, str, bytes]] = (
+            collections.deque()
+        )
+        self._bytes = 0
+        self._is_told = False  # the loop knows that some wait
         self.by: _Session | None = None
         self.silent = False
 
-    def take(self, way: _Session, what: str, data: bytes) -> None:
-        """Take what has come by a way; in the loop."""
-        self.room.release()
+    def come(self, way: _Session, what: str, payload: Any) -> None:
+        """Bring what has come by a way, on a thread of zenoh; too much is dropped."""
+        size = len(payload)
+        with self._lock:
+            many = len(self._waiting) >= _WAITING or self._bytes + size > _BYTES
+            if many or size > LIMIT:
+                self.bus.stats.dropped += 1
+                return
+            self._bytes += size
+            self._waiting.append((way, what, payload.to_bytes()))
+            if self._is_told:
+                return
+            self._is_told = True
+        self._tell()
+
+    def _tell(self) -> None:
+        self._door.tell(self._tag, self._take_some)
+
+    def _take_some(self) -> None:
+        """Take what waits, in the loop, and leave that most of its time.
+
+        Whatever a peer sends, and however much: nobody else may wait for it.
+        """
+        began = time.monotonic()
+        while (spent := time.monotonic() - began) < _SLICE:
+            with self._lock:
+                if not self._waiting:
+                    self._is_told = False
+                    return
+                way, what, data = self._waiting.popleft()
+                self._bytes -= len(data)
+            try:
+                self._take(way, what, data)
+            except Exception:  # the next is taken all the same
+                _log.exception("what came from peer %s raised", self.bus.name)
+        self._loop.call_later(_PAUSE * spent, self._tell)
+
+    def _take(self, way: _Session, what: str, data: bytes) -> None:
         way.heard, line = time.monotonic(), way.line
         is_new = self.bus.came(what, data)
         if line is None:
@@ -260,11 +312,7 @@ class Network:
         *_, sender, what = str(sample.key_expr).split("/")
         if (peer := self._users.get(sender)) is None:
             return
-        payload = sample.payload
-        if len(payload) > LIMIT or not peer.room.acquire(blocking=False):
-            peer.bus.stats.dropped += 1
-            return
-        peer.door.tell(("peer", sender), peer.take, way, what, payload.to_bytes())
+        peer.come(way, what, sample.payload)
 
     async def leave(self, bus: PeerBus) -> None:
         """Hear no more of a peer; with the last one the network is closed."""
