@@ -360,6 +360,8 @@ class ResourceDeployment:
         if channel.state is ResourceState.READY:
             channel.make_safe()
             await channel.safe.settled(until)
+            if channel.driver.uses_threads:
+                return  # if it was given up: nothing gets past its thread
         life = self.lives.get(name)
         if channel.state is not ResourceState.READY and life is not None:
             await life.last_try(until)  # also if it was given up meanwhile
