@@ -113,8 +113,9 @@ class Opener:
         # What a call from before a loss still sends must not come after the safe command.
         now, most = asyncio.get_running_loop().time(), resource.deadline + 0.1
         await calls.quiet(now + min(patience, most))
-        if not all(call.may_move for call in calls.alive.values()):
-            await calls.quiet(now + most)
+        left = calls.alive.values()
+        if self.driver.uses_threads or not all(call.may_move for call in left):
+            await calls.quiet(now + most)  # else nothing would get past them
         if resource.bus is not None:
             await self._run("open the bus", Method(resource.bus.open, None))
         await self.close()  # what has opened late meanwhile
