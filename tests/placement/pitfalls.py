@@ -131,7 +131,7 @@ class Looks(esair.Reaction):
 class Eyes(esair.Reaction):
     """Hangs at its sixth reading."""
 
-    placement = esair.Placement(stall=0.7)
+    placement = esair.Placement(stall=9.0)
     sonar = esair.reads(float)
     wheels = esair.writes(float, priority=5)
 
