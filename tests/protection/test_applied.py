@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from typing import Any
 
 import pytest
@@ -244,3 +245,30 @@ def test_a_port_that_does_not_fit_stops_the_start(port: Any, told: str) -> None:
     found = examine(Plan(resources=[wheels, sonar], behaviors=[Odd()]))
     (wrong,) = [each.text for each in found if each.is_error]
     assert told in wrong
+
+
+class Lies(FakeActuator[Any]):
+    """Its driver says that it has applied what no device can."""
+
+    waits = 0.0
+
+    async def write(self, command: Any) -> Any:
+        await super().write(command)
+        await asyncio.sleep(self.waits)
+        return command if command == 0.0 else math.nan
+
+
+@pytest.mark.promise("AC-1", "SC-3")
+@pytest.mark.parametrize("waits", [0.0, 0.03])
+async def test_what_was_applied_is_a_number(waits: float) -> None:
+    """NaN reaches nobody who writes, or reads what was applied."""
+    wheels = Lies("wheels", safe=0.0, type=float, command_timeout=0.2)
+    wheels.waits = waits
+    drive, look = Drive(), Look()
+    async with esair.Robot(resources=[wheels], behaviors=[drive, look]) as robot:
+        await asyncio.sleep(0.3)
+        error = robot.behaviors.query("drive").error
+        assert isinstance(error, esair.DeviceFaultError)
+        assert "it has applied nan" in str(error)
+    assert 1.0 in wheels.commands
+    assert set(look.seen) <= {0.0}

@@ -505,6 +505,8 @@ class ActuatorChannel(Device):
             applied = applied.command
         if applied is None:
             applied = command
+        elif (wrong := self.wire.unsound(command, applied)) is not None:
+            raise wrong
         if self._journal.heard.applied:
             self._journal.publish(APPLIED, self.name, registration.behavior, applied)
         return Written(applied, asked, by)

@@ -15,8 +15,14 @@ import attrs
 
 from esair.connections._calls import Call, Guard, Method, translate_call
 from esair.connections._gate import LastCommand
-from esair.connections._values import CommandCheck
-from esair.exceptions import DeviceLostError, DriverStuckError, EsairError, describe
+from esair.connections._values import TOO_DEEP, CommandCheck, flaw
+from esair.exceptions import (
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+    EsairError,
+    describe,
+)
 from esair.journal import Kind
 from esair.loop import REACHED, Deadlines, spawn, wake
 from esair.messages import Refused, ResourceState, Written
@@ -249,10 +255,22 @@ class Wire:
         if isinstance(answer, Written):
             answer = answer.command
         if answer is not None:
-            command = answer
+            command = None if self.unsound(command, answer) else answer
         elif command is HOLD:
             command = self.told.base
         self.applied.took(copy.deepcopy(command))  # who has the answer may change it
+
+    def unsound(self, command: Any, applied: Any) -> DeviceFaultError | None:
+        """Return what is wrong with what a driver says it has applied, if anything is."""
+        if not isinstance(applied, type(command)):
+            return None  # whatever its driver means by it
+        with contextlib.suppress(BaseException):  # it may be an object of any class
+            found = flaw(applied, rows=True)
+            if found is not None and found.expected != TOO_DEEP:
+                where = f"{found.place()} = " if found.path else ""
+                told = f"expected {found.expected}, it has applied {where}{found.value!r:.80}"
+                return DeviceFaultError(self._device.name, told)
+        return None
 
     def unsettled(self) -> Call | None:
         """Return a call that is alive, and may still undo what it was told since.
