@@ -164,6 +164,20 @@ def _same_type(given: Any, wanted: Any) -> bool:
     return issubclass(given_class, wanted_class)
 
 
+def fits(value: object, kind: Any) -> bool:
+    """Tell whether a value is of a type, or of one of a union, as far as that can be seen."""
+    for each in _alternatives(kind):
+        cls = checked_class(each)
+        if cls is None:
+            if each is not None or value is None:
+                return True
+        elif isinstance(value, cls):
+            return cls not in _REAL or not isinstance(value, bool)
+        elif passes_as(value, cls):
+            return True
+    return False
+
+
 def checked_class(kind: Any) -> type | None:
     """Return the class that values can be checked for; None if any value will do."""
     cls = typing.get_origin(kind) or kind

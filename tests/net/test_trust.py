@@ -17,14 +17,16 @@ from tests.net.parts import STILL, Dock, Hand, Pair, Twist
 
 import esair
 from esair.buses import BusStats
-from esair.buses.peer import Network, PeerBus, Tls
-from esair.buses.peer._wire import FORMS, Head, packed, parts_of
+from esair.buses.peer import FakeNetwork, Network, PeerBus, Tls
+from esair.buses.peer._wire import FORMS, ITEMS, Head, head_of, packed, parts_of
 from esair.buses.peer._zenoh import _Peer
-from esair.codec import CodecError, Kinds
+from esair.codec import CodecError, Kinds, encode
 from esair.drivers.peer import PeerActuator, PeerSensor
 from esair.peers import Share
 
 pytestmark = pytest.mark.virtual_clock
+
+HEAD = 1, 1, 1, 1, 0.0
 
 
 class Captain(esair.Behavior):
@@ -154,6 +156,121 @@ def test_nothing_is_made_of_bytes_that_was_not_declared() -> None:
         parts_of("write", data, mine)
     with pytest.raises(CodecError, match="expected 3 parts"):
         parts_of("write", packed(Head(1, 1, 1, 1, 0.0), (1,), mine)[40:], mine)
+
+
+@pytest.mark.promise("NET-6", "SEC-2")
+def test_a_field_has_what_its_class_declares() -> None:
+    """What is in a field is what its annotation names, on both sides of the way."""
+    strict, head = PeerBus(name="base", network=FakeNetwork().of("rover")), Head(*HEAD)
+    strict.declare(Dock)
+    strict.declare(Twist)
+    for value, told in (
+        (Dock("x"), "Dock.bay: expected int, not str"),  # type: ignore[arg-type]
+        (Dock(True), "Dock.bay: expected int, not bool"),
+        (Twist(None, 0.0), "Twist.linear: expected float, not NoneType"),  # type: ignore[arg-type]
+        (Twist(Dock(1), 0.0), "Twist.linear: expected float, not Dock"),  # type: ignore[arg-type]
+    ):
+        data = packed(head, (1, "docking", value), Kinds([Dock, Twist]))
+        with pytest.raises(CodecError, match=told):
+            parts_of("ask", data[40:], strict.kinds)
+        with pytest.raises(CodecError, match=told):
+            packed(head, (1, "docking", value), strict.kinds)
+    data = packed(head, (1, "wheels", Twist(1, 0.5)), strict.kinds)
+    assert parts_of("write", data[40:], strict.kinds)[2] == Twist(1, 0.5)
+
+
+@pytest.mark.promise("NET-6", "BUS-1")
+def test_a_message_has_so_many_items_and_no_more() -> None:
+    """Its bytes say little of how long it takes to read: its items do."""
+    kinds, head = Kinds(), Head(*HEAD)
+    value = [1] * ITEMS
+    with pytest.raises(CodecError, match="too many items"):
+        packed(head, (1, "wheels", value), kinds)
+    with pytest.raises(CodecError, match="too many items"):
+        parts_of("write", encode((1, "wheels", value), kinds), kinds)
+    scan = (1, "wheels", [0.5] * (3 * ITEMS))
+    assert parts_of("write", packed(head, scan, kinds)[40:], kinds) == scan
+
+
+class Liar:
+    """The bus of a robot that answers all with one thing."""
+
+    def __init__(self, pair: Pair, *answer: object) -> None:
+        self.bus = pair.to_rover
+        self.answer = answer
+
+    def serve(self, what: str, _since: float, body: bytes) -> None:
+        """Answer what comes."""
+        parts = self.bus.parts(what, body)
+        assert parts is not None
+        if what == "follow":
+            self.bus.say("gone", "sonar", "")
+        elif what == "release":
+            self.bus.say("answer", parts[0], "written", None)
+        elif what in {"write", "ask"}:
+            self.bus.say("answer", parts[0], *self.answer)
+
+
+@pytest.mark.promise("AC-1", "NET-6")
+@pytest.mark.parametrize(
+    "answer",
+    [
+        ("written", "x"),
+        ("written", Dock(1)),
+        ("written", Twist(float("nan"), 0.0)),
+        ("refused", ("wheels", 0, "no", float("nan"), None)),
+        ("refused", ("wheels", 0, "no", 0.1, float("inf"))),
+    ],
+    ids=str,
+)
+async def test_a_peer_that_lies_of_a_write(answer: tuple[object, ...]) -> None:
+    """What was applied there is a command, or the write ends as an error of the peer."""
+    pair, hand = Pair(), Hand()
+    pair.to_rover.serve(Liar(pair, *answer).serve)
+    async with pair.rover(hand):
+        await pair.to_rover.open()
+        await asyncio.sleep(1.0)
+        with pytest.raises(esair.DeviceFaultError, match="far_wheels"):
+            await hand.wheels.write(Twist(0.1, 0.0))
+        await pair.to_rover.close()
+
+
+@pytest.mark.promise("BS-8", "NET-6")
+@pytest.mark.parametrize("answer", [5, None, Twist(1.0, 0.0), Dock(1)], ids=str)
+async def test_a_peer_that_lies_in_an_answer(answer: object) -> None:
+    """An answer is of the class that the request names, or the request has failed."""
+    pair, hand = Pair(), Hand()
+    pair.to_rover.serve(Liar(pair, "answered", answer).serve)
+    async with pair.rover(hand):
+        await pair.to_rover.open()
+        await asyncio.sleep(1.0)
+        with pytest.raises(esair.BehaviorFailedError, match="not Docked"):
+            await hand.ask("far_docking", Dock(2), timeout=2.0)
+        await pair.to_rover.close()
+
+
+@pytest.mark.promise("NET-3")
+async def test_a_request_that_finds_no_room_is_declined() -> None:
+    """It was not begun, so it is never called unknown."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand):
+        asks = [asyncio.ensure_future(hand.ask("far_docking", Dock(2)))]
+        await asyncio.sleep(0.5)
+        told = next(each for each in pair.network.log if each[2] == "ask")[3]
+        begun = len(pair.network.log)
+        for number in range(100):
+            data = packed(
+                head_of(pair.network.log[-1][3])[0]._replace(run=head_of(told)[0].run),  # type: ignore[index]
+                (number, "docking", Dock(number)),
+                pair.to_base.kinds,
+            )
+            pair.network.inject("rover", "base", "ask", data)
+        await asyncio.sleep(0.1)
+        answers = [each for each in pair.network.log[begun:] if each[2] == "answer"]
+        hows = {pair.to_base.parts("answer", each[3][40:])[1] for each in answers}  # type: ignore[index]
+        assert hows == {"declined"}
+        for each in asks:
+            each.cancel()
 
 
 @pytest.mark.promise("NET-1")

@@ -65,13 +65,14 @@ Defined = tuple[str, Any, Shape | None, Any]
 """What a class is: its name, itself if it is known, and the names of its fields."""
 
 
-def encode(value: Any, kinds: Kinds, limit: int = LIMIT) -> bytes:
+def encode(value: Any, kinds: Kinds, limit: int = LIMIT, items: int = ITEMS) -> bytes:
     """Return a value as bytes.
 
     Args:
         value: The value.
         kinds: The classes that may cross.
         limit: How many bytes it may have.
+        items: How many items it may have.
 
     Raises:
         CodecError: It cannot cross: which part of it, and why.
@@ -80,7 +81,7 @@ def encode(value: Any, kinds: Kinds, limit: int = LIMIT) -> bytes:
         return _FLOAT_ALONE(VERSION, b"f", value)
     if value is None:
         return _NONE_ALONE
-    writer = _Writer(kinds, limit)
+    writer = _Writer(kinds, limit, items)
     try:
         writer.put(value, DEPTH)
         writer.check_size()
@@ -93,13 +94,14 @@ def encode(value: Any, kinds: Kinds, limit: int = LIMIT) -> bytes:
     return bytes(writer.out)
 
 
-def decode(data: bytes, kinds: Kinds, limit: int = LIMIT) -> Any:
+def decode(data: bytes, kinds: Kinds, limit: int = LIMIT, items: int = ITEMS) -> Any:
     """Return the value of which `encode` has made bytes.
 
     Args:
         data: The bytes; they may be anybody's.
         kinds: The classes that may come back.
         limit: How many bytes it may have.
+        items: How many items it may have: how long it takes follows from that.
 
     Raises:
         CodecError: It is nothing that `encode` makes of these classes, or too large.
@@ -108,7 +110,7 @@ def decode(data: bytes, kinds: Kinds, limit: int = LIMIT) -> Any:
         raise CodecError(f"it has {len(data)} bytes, at most {limit} are read")
     if data[:1] != VERSION:
         raise CodecError("it is not in this version's coding")
-    reader = _Reader(data, kinds, limit)
+    reader = _Reader(data, kinds, limit, items)
     try:
         value = reader.take(DEPTH)
         if reader.place != len(data):
@@ -131,7 +133,7 @@ class _Walk:
     def count(self, items: int) -> None:
         self.items -= items
         if self.items < 0:
-            raise CodecError("it has too many items for its size")
+            raise CodecError("it has too many items")
 
     def nest(self, depth: int, items: int) -> int:
         """Go into something of so many items; return how deep it may still go."""
@@ -146,9 +148,9 @@ class _Walk:
 class _Writer(_Walk):
     __slots__ = ("classes", "errors", "limit", "out")
 
-    def __init__(self, kinds: Kinds, limit: int) -> None:
+    def __init__(self, kinds: Kinds, limit: int, items: int) -> None:
         self.kinds = kinds
-        self.items = min(limit // SMALLEST, ITEMS)
+        self.items = min(limit // SMALLEST, items)
         self.limit = limit
         self.out = bytearray(VERSION)
         self.classes: dict[type, int] = {}
@@ -301,6 +303,8 @@ class _Writer(_Walk):
         parts = value
         if shape.form is Form.RECORD:
             parts = [getattr(value, name, _MISSING) for name in names]
+        if self.kinds.fits is not None:
+            self.kinds.check(kind, zip(names, parts, strict=False))
         put, out = self.put, self.out
         done = 0
         try:
@@ -371,9 +375,9 @@ def _token(dtype: Any) -> Any:
 class _Reader(_Walk):
     __slots__ = ("classes", "data", "errors", "place")
 
-    def __init__(self, data: bytes, kinds: Kinds, limit: int) -> None:
+    def __init__(self, data: bytes, kinds: Kinds, limit: int, items: int) -> None:
         self.kinds = kinds
-        self.items = min(limit // SMALLEST, ITEMS)
+        self.items = min(limit // SMALLEST, items)
         self.data = data
         self.place = 1
         self.classes: list[Defined] = []
@@ -510,6 +514,9 @@ class _Reader(_Walk):
             return {**found, **more}
         if about != shape.fields:
             _catch_up(name, shape, about, found)
+        if self.kinds.fits is not None:
+            parts = ((each, found.get(each, _MISSING)) for each in shape.fields)
+            self.kinds.check(kind, parts)
         if more and not shape.has_more:
             told = f"{name.replace(':', '.')} has no room for {[*more][:3]!r:.80} now"
             raise CodecError(told)

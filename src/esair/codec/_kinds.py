@@ -139,6 +139,8 @@ class Kinds:
         strangers: Whether an object of a class that is not here comes back as a
             dictionary of its fields; else that is an error.
         more: Called with the table when a class is not here: components come and go.
+        fits: Tells of what is in a field whether its annotation names it; without it
+            there may be anything in a field.
     """
 
     def __init__(
@@ -147,8 +149,11 @@ class Kinds:
         *,
         strangers: bool = False,
         more: Callable[[Kinds], object] | None = None,
+        fits: Callable[[Any, Any], bool] | None = None,
     ) -> None:
         self.strangers = strangers
+        self.fits = fits
+        self._hints: dict[type, dict[str, Any]] = {}
         self.programs: list[str] = []
         """Modules that may have had other names when a value was sent."""
         self._more = more
@@ -184,7 +189,8 @@ class Kinds:
             if self._named.setdefault(name_of(each), each) is not each:
                 self._doubled.add(name_of(each))
             if shape.form in {Form.RECORD, Form.TUPLE}:
-                waiting += hints_of(each).values()
+                self._hints[each] = hints_of(each)
+                waiting += self._hints[each].values()
 
     def __contains__(self, kind: object) -> bool:
         return kind in self._shapes
@@ -215,6 +221,19 @@ class Kinds:
             f"{what} is not declared: name it where a port, a driver or a request says "
             "what it gives"
         )
+
+    def check(self, kind: type, parts: Iterable[tuple[str, Any]]) -> None:
+        """Look whether there is in the fields of an object what their annotations say.
+
+        Raises:
+            CodecError: There is something else in one.
+        """
+        hints, fits = self._hints.get(kind, {}), self.fits
+        for name, part in parts:
+            if name in hints and fits is not None and not fits(part, hints[name]):
+                wanted = getattr(hints[name], "__name__", hints[name])
+                told = f"expected {wanted}, not {type(part).__name__}"
+                raise CodecError(f"{kind.__qualname__}.{name}: {told}")
 
     def find(self, name: str) -> tuple[type, Shape] | None:
         """Return the class of a name, and how its objects are made."""

@@ -19,6 +19,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.loop import News, outside
+from esair.values import fits, type_name
 
 
 class PeerBehavior(Behavior):
@@ -64,6 +65,10 @@ class PeerBehavior(Behavior):
         except CodecError as error:
             how, value = "lost", describe(error)
         if how == "answered":
+            wanted = answer_type(type(request.data))
+            if not fits(value, wanted):
+                told = f"it answered {value!r:.80}, not {type_name(wanted)}"
+                raise BehaviorFailedError(self.remote, told)
             request.answer(value)
         elif how == "declined":
             request.refuse(str(value))

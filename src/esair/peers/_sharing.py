@@ -38,6 +38,8 @@ _ASKS: Final = 16
 _LOOK: Final = 0.2
 """How often it is looked what is there again, in seconds."""
 
+_TOO_MUCH: Final = "too much of this peer waits"
+
 _NOT_DONE = (
     RefusedError,
     UnknownNameError,
@@ -132,8 +134,10 @@ class Sharing(Behavior):
             queue.put_nowait((what, since, *parts))
         except asyncio.QueueFull:
             self.bus.stats.dropped += 1
-            if what in {"write", "release", "ask"}:
-                self._refuse(parts[0], "too much of this peer waits")
+            if what == "ask":
+                self._answer(parts[0], "declined", _TOO_MUCH)
+            elif what in {"write", "release"}:
+                self._refuse(parts[0], _TOO_MUCH)
 
     async def run(self) -> None:
         """Do what the peer asks for."""

@@ -27,6 +27,7 @@ from esair.exceptions import (
 )
 from esair.loop import arrive, fail, spawn
 from esair.messages import Stamped
+from esair.values import fits
 
 BEAT = 0.05
 """How often each side beats, in seconds."""
@@ -91,7 +92,7 @@ class PeerBus(Bus):
         self.round_trip: float = math.inf
         """How long a beat and its echo have taken last, in seconds."""
         self._undeclared: list[Any] = []
-        self.kinds: Kinds = Kinds(more=self._declare_late)
+        self.kinds: Kinds = Kinds(more=self._declare_late, fits=fits)
         """The classes that may come: what the robot's own parts declare."""
         self._serve: Serve | None = None
         self._send: Send | None = None

@@ -16,6 +16,9 @@ VERSION: Final = 1
 LIMIT: Final = 1 << 20
 """How many bytes a message may have."""
 
+ITEMS: Final = 20_000
+"""How many items: it is read in one piece, and that may take 10 ms."""
+
 _HEAD: Final = struct.Struct("<QQQQd")
 
 FORMS: Final[Mapping[str, tuple[Any, ...]]] = {
@@ -63,7 +66,9 @@ def packed(head: Head, parts: tuple[Any, ...], kinds: Kinds) -> bytes:
     Raises:
         CodecError: A part is no plain data.
     """
-    return _HEAD.pack(*head) + (encode(parts, kinds, LIMIT - 64) if parts else b"")
+    return _HEAD.pack(*head) + (
+        encode(parts, kinds, LIMIT - 64, ITEMS) if parts else b""
+    )
 
 
 def head_of(data: bytes) -> tuple[Head, bytes] | None:
@@ -85,7 +90,7 @@ def parts_of(what: str, body: bytes, kinds: Kinds) -> tuple[Any, ...]:
     form = FORMS[what]
     if not form:
         return ()
-    parts = decode(body, kinds, LIMIT)
+    parts = decode(body, kinds, LIMIT, ITEMS)
     if type(parts) is not tuple or len(parts) != len(form):
         raise CodecError(f"expected {len(form)} parts")
     for part, kind in zip(parts, form, strict=True):

@@ -309,8 +309,9 @@ class Network:
 
     def come(self, way: _Session, sample: Any) -> None:
         """Bring to the loop what has come, on a thread of zenoh."""
-        *_, sender, what = str(sample.key_expr).split("/")
-        if (peer := self._users.get(sender)) is None:
+        rest, _, what = str(sample.key_expr).rpartition("/")
+        peer = self._users.get(rest.rpartition("/")[2])
+        if peer is None:
             return
         peer.come(way, what, sample.payload)
 

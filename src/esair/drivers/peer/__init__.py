@@ -16,6 +16,7 @@ The other robot has to share them: ``[share.sonar]``, ``[share.wheels]``.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import AsyncIterator
 from typing import Any, Final, Unpack
 
@@ -28,6 +29,7 @@ from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.loop import clock_of
 from esair.messages import Refused
 from esair.resources import HOLD, Actuator, ActuatorSettings, Sensor, SensorSettings
+from esair.values import fits
 
 __all__ = ["Peer", "PeerActuator", "PeerSensor", "PeerStatus"]
 
@@ -226,7 +228,7 @@ class PeerActuator(Actuator[Any]):
             case "silent", float(seconds):
                 told = f"no answer for {seconds:.2g} s: what came of it is unknown"
                 return Refused(bus.name, 0, told, now - seconds, None)
-            case "written", _:
+            case "written", _ if value is None or fits(value, self._type):
                 self._is_known = True
                 return value
             case "refused", (
@@ -235,7 +237,7 @@ class PeerActuator(Actuator[Any]):
                 str(rule),
                 float(age),
                 (None | float()) as left,
-            ):
+            ) if math.isfinite(age) and math.isfinite(left or 0.0):
                 until = None if left is None else now + left
                 return Refused(f"{bus.name}:{holder}", priority, rule, now - age, until)
             case "lost", str(told):
