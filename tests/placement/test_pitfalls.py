@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -194,3 +196,48 @@ async def test_a_dead_process_is_not_waited_for() -> None:
         began = loop.time()
         await robot.behaviors.remove("dies")
         assert loop.time() - began < 0.2
+
+
+@pytest.mark.real_clock
+def test_a_class_of_a_package_of_tests_is_found(tmp_path: Path) -> None:
+    """Pytest imports packages without their folder in the path; a process finds them too."""
+    tests = tmp_path / "checks" / "of_eyes"
+    tests.mkdir(parents=True)
+    for folder in (tests, tests.parent):
+        (folder / "__init__.py").touch()
+    (tests / "parts.py").write_text(PARTS)
+    (tests / "test_eyes.py").write_text(PARTS_TEST)
+    pytest_of = Path(sys.executable).with_name("pytest")
+    options = ["-q", "-p", "no:cacheprovider", "-o", "asyncio_mode=auto"]
+    done = subprocess.run(
+        [pytest_of, *options, "--import-mode=importlib", "."],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "1 passed" in done.stdout, done.stdout
+
+
+PARTS = """
+import asyncio
+import esair
+
+class Eyes(esair.Behavior):
+    async def run(self):
+        await asyncio.sleep(60.0)
+"""
+
+PARTS_TEST = """
+import asyncio
+import esair
+from checks.of_eyes.parts import Eyes
+
+async def test_it_runs():
+    eyes = Eyes()
+    eyes.placement = "process"
+    async with esair.Robot(behaviors=[eyes]) as robot:
+        await asyncio.sleep(0.5)
+        assert robot.behaviors.query("eyes").restarts == 0
+        assert robot.behaviors.query("eyes").state is esair.BehaviorState.RUNNING
+"""

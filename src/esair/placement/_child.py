@@ -461,7 +461,8 @@ def find(recipe: dict[str, Any]) -> Any:
         try:
             __import__(module)
         except ModuleNotFoundError as error:
-            if error.name != module or recipe.get("file") is None:
+            absent = f"{module}.".startswith(f"{error.name}.")
+            if not absent or recipe.get("file") is None:
                 raise
             _load(module, recipe["file"])
         found = sys.modules[module]
@@ -472,10 +473,16 @@ def find(recipe: dict[str, Any]) -> Any:
 
 def _load(name: str, path: str) -> None:
     """Import a file that the robot's process has found by itself, not by its path."""
+    import pathlib  # only where it cannot be found at once
+
+    file, names = pathlib.Path(path).resolve(), name.split(".")
+    sys.path.insert(0, str(file.parents[len(names) - 1]))
+    if list(file.with_suffix("").parts[-len(names) :]) == names:
+        importlib.import_module(name)
+        return
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
     assert spec.loader is not None
-    sys.path.insert(0, os.path.dirname(os.path.abspath(path)))
     sys.modules[name] = module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
 

@@ -480,18 +480,17 @@ def recipe_of(component: Any) -> dict[str, Any]:
     options: dict[str, Any] | None = None
     if isinstance(inner, Component):
         args, options = made_of(inner)
-    found = {
+    module = sys.modules.get(kind.__module__)
+    return {
         "module": kind.__module__,
         "class": kind.__qualname__,
         "args": args,
         "options": options,
         "fields": dict(vars(inner)) if options is None else {},
         "name": component.name,
+        # It may have come from a file that no path leads to.
+        "file": getattr(module, "__file__", None),
     }
-    if "." not in kind.__module__:  # it may have come from a file that no path leads to
-        module = sys.modules.get(kind.__module__)
-        found["file"] = getattr(module, "__file__", None)
-    return found
 
 
 def _reason(component: Any) -> tuple[str, str, str] | None:
