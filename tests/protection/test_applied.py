@@ -262,7 +262,7 @@ class Lies(FakeActuator[Any]):
 @pytest.mark.parametrize("waits", [0.0, 0.03])
 async def test_what_was_applied_is_a_number(waits: float) -> None:
     """NaN reaches nobody who writes, or reads what was applied."""
-    wheels = Lies("wheels", safe=0.0, type=float, command_timeout=0.2)
+    wheels = Lies("wheels", safe=0.0, command_timeout=0.2)
     wheels.waits = waits
     drive, look = Drive(), Look()
     async with esair.Robot(resources=[wheels], behaviors=[drive, look]) as robot:
