@@ -173,6 +173,27 @@ def test_an_interrupt_ends_the_search_after_its_story() -> None:
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+class Look(Stop):
+    """Sees to the wheels in one of two modes; what it reads says nothing."""
+
+    sonar = esair.reads(float, max_age=0.2)
+
+
+def two_modes() -> esair.Robot:
+    modes = {"look": ["look"], "drive": ["drive"]}
+    parts: list[Any] = [Sonar(), Wheels()]
+    return esair.Robot(
+        resources=parts, behaviors=[Look(), Drive()], modes=modes, mode="look"
+    )
+
+
+def test_who_rests_in_another_mode_sees_to_nothing() -> None:
+    """A mode without whoever protects is one in which others drive."""
+    steps = (Step(0.5, "silent", "sonar", lasts=5.0), Step(1.0, "switch", "drive"))
+    outcome = World(Target("robot", two_modes), Story(0, steps, 3.0)).run()
+    assert not outcome.violations
+
+
 class Unknown:
     """What nobody can make without knowing more of it."""
 

@@ -104,6 +104,9 @@ SLACK = 0.02  # By how much what is bounded by time may be late, in seconds
 AGAIN_WITHIN = 0.6
 """How soon safe is sent again after a motion that came too late, in seconds."""
 
+_SEES_NOTHING = {BehaviorState.STOPPING, BehaviorState.REMOVED, BehaviorState.RESTING}
+"""In these states nobody counts on what it sees: it leaves, or its mode is another one."""
+
 STOP_WITHIN = 2.0
 """How long a stop may take beside the grace period, in seconds: then `esair.run` ends."""
 
@@ -233,10 +236,8 @@ class Judge:
         muted = world.muted.get(action.name, -1.0)
         if world.now - world.jumped(muted) < muted:
             return
-        # The user may be just taking away who was to see.
         state = world.robot.behaviors.query(action.name).state
-        leaves = state in {BehaviorState.STOPPING, BehaviorState.REMOVED}
-        if not leaves and (why := self._why_blind(action)):
+        if state not in _SEES_NOTHING and (why := self._why_blind(action)):
             self.say("blind", gate.name, f"{what} while {action.name} {why}")
 
     def _why_blind(self, action: Any) -> str:
