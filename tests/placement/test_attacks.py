@@ -220,6 +220,18 @@ async def test_what_it_writes_appears_under_its_name(
     assert "--placement NAME=task" in str(robot.behaviors.query("talker").error)
 
 
+@pytest.mark.promise("PLC-6")
+async def test_a_print_is_seen_where_no_log_is_set_up(
+    caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A script that prints needs no logging to show what its processes print."""
+    caplog.set_level("WARNING", logger="esair")
+    async with esair.Robot(behaviors=[Talker()]) as robot:
+        await until(lambda: robot.behaviors.query("talker").error is not None)
+    assert "talker: it prints\n" in capsys.readouterr().out
+    assert "it logs 3" not in capsys.readouterr().out
+
+
 @pytest.mark.long
 @pytest.mark.promise("PLC-6")
 async def test_a_restart_begins_as_it_was_added() -> None:

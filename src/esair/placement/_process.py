@@ -530,14 +530,18 @@ class Words:
 
     def _say(self, line: str) -> None:
         level, name, text = logging.INFO, "esair", f"{self._name}: {line}"
-        if line.startswith(RECORD):
+        is_record = line.startswith(RECORD)
+        if is_record:
             with contextlib.suppress(Exception):  # whatever such a line leads to
                 record = json.loads(line[1:])
                 level, name = int(record["level"]), self._logger(record["name"])
                 line = str(record["text"])
                 text = f"{self._name}: {line}" if name == "esair" else line
         self._keep(line)
-        logging.getLogger(name).log(level, "%s", printable(text))
+        logger = logging.getLogger(name)
+        if not is_record and not logger.isEnabledFor(level):
+            print(printable(text))  # noqa: T201 - as it would in the robot's process
+        logger.log(level, "%s", printable(text))
 
     def _keep(self, line: str) -> None:
         self._kept = f"{self._kept}{line}\n"[-KEPT:]
