@@ -243,3 +243,14 @@ async def test_whatever_error_a_setup_raises_is_named_as_its_failure() -> None:
         with pytest.raises(esair.BehaviorFailedError) as caught:
             await robot.behaviors.add(bad)
         assert isinstance(caught.value.__cause__, esair.DeviceLostError)
+
+
+async def test_what_has_no_good_name_is_named_by_what_it_is() -> None:
+    """An object that is no component, or one with a bad name, in the error of its add."""
+    bad = type(
+        "Odd", (Idle,), {"name": "Not Good", "__repr__": lambda _: "<an odd one>"}
+    )
+    async with esair.Robot() as robot:
+        for odd, told in ((bad(), "lower-case"), (7, "7")):
+            with pytest.raises(esair.EsairError, match=told):
+                await robot.behaviors.add(odd)  # type: ignore[arg-type]

@@ -443,3 +443,21 @@ async def test_a_restart_without_its_resource_is_parked_until_that_is_there() ->
         await robot.resources.add(FakeSensor("sonar", 1.0))
         await asyncio.sleep(0.01)
         assert robot.behaviors.query("a").state is State.RUNNING
+
+
+@pytest.mark.promise("SUP-4")
+async def test_after_a_rest_its_budget_is_full_again() -> None:
+    """Who comes back to its mode has all its restarts, whatever it has used before."""
+    crashes = Scripted(raises(RuntimeError("again")), name="a")
+    modes = {"on": ["a"], "off": []}
+    async with esair.Robot(behaviors=[crashes], modes=modes, mode="on") as robot:
+        await asyncio.sleep(9.0)
+        assert robot.behaviors.query("a").restarts == 3
+        await robot.behaviors.switch("off", reason="a rest")
+        assert robot.behaviors.query("a").restarts == 0
+        begun = len(crashes.begun)
+        await asyncio.sleep(20.0)  # the restart that was to come does not
+        assert len(crashes.begun) == begun
+        await robot.behaviors.switch("on", reason="and on")
+        await asyncio.sleep(60.0)
+        assert len(crashes.begun) - begun == 4

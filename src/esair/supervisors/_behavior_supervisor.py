@@ -278,7 +278,6 @@ class BehaviorSupervisor(abc.Supervisor):
                     if old.mail.is_leaving or crew.turns.rests(name):
                         raise BehaviorRemovedError(name)
                 except BaseException:
-                    new.give_up()
                     await crew.end(new)
                     new.sight.leave()
                     raise
