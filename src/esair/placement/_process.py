@@ -540,7 +540,8 @@ class Words:
         self._keep(line)
         logger = logging.getLogger(name)
         if not is_record and not logger.isEnabledFor(level):
-            print(printable(text))  # noqa: T201 - as it would in the robot's process
+            with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
+                print(printable(text))  # noqa: T201 - as it would in the robot's process
         logger.log(level, "%s", printable(text))
 
     def _keep(self, line: str) -> None:
