@@ -45,8 +45,6 @@ TURN_WITHIN = 0.3
 
 NOT_YET = "it has not answered yet"
 
-_NOW = Call("", "write", 0, 0, (), 0.0)
-"""In the lane while a write is in its first step: nothing else begins from there."""
 
 _log = logging.getLogger("esair")
 
@@ -185,21 +183,17 @@ class Wire:
         told.is_safe = False
         if self._journal.heard.sent:
             self._journal.publish(SENT, self._device.name, behavior, command)
-        self.lane = _NOW
         begin = self._begin  # hot
         try:
             sent = begin("write", self.method, (command,), self._deadline, guard)
         except Exception as error:
-            self.lane = None
             failed = self.in_doubt(self.failed(error, "write"), command)
             raise failed from failed.__cause__
         if sent is not None and type(sent) is Call:
             self.lane = sent
             told.error = NOT_YET
             return sent
-        # Done: most drivers need not wait.
-        self.lane = None
-        told.error = ""
+        told.error = ""  # done: most drivers need not wait
         return sent
 
     def watch_by(self, watch: Watched | None) -> None:

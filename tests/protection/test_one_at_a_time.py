@@ -1,0 +1,125 @@
+"""A driver is in one call at a time, whoever wants something of it meanwhile."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from typing import Any
+
+import pytest
+
+import esair
+from esair.testing import FakeActuator, FakeSensor
+
+pytestmark = pytest.mark.virtual_clock
+
+
+class Counts(FakeActuator[float]):
+    """Counts how many of its calls are alive at once; some of them wait."""
+
+    def __init__(self, *waits: float, during: Any = None) -> None:
+        super().__init__("wheels", safe=0.0, command_timeout=0.3)
+        self.waits = waits
+        self.during = during
+        self.alive = self.most = 0
+        self.landed: list[float] = []
+
+    async def write(self, command: float) -> None:
+        self.alive += 1
+        self.most = max(self.most, self.alive)
+        try:
+            if self.during is not None and command:
+                self.during()
+            for seconds in self.waits:
+                await asyncio.sleep(seconds)
+            self.landed.append(command)
+        finally:
+            self.alive -= 1
+
+
+class Drive(esair.Behavior):
+    """Writes whatever comes, at any time."""
+
+    wheels = esair.writes(float)
+
+    def __init__(self, seed: int = 0, name: str = "drive") -> None:
+        super().__init__(name=name)
+        self.chance = random.Random(seed)
+
+    async def run(self) -> None:
+        while True:
+            await asyncio.sleep(self.chance.uniform(0.0, 0.06))
+            speed = self.chance.choice([0.0, 0.0, self.chance.uniform(0.1, 1.0)])
+            try:
+                await self.wheels.write(speed)
+            except esair.EsairError:
+                await asyncio.sleep(0.01)
+
+
+class Stop(esair.Reaction):
+    """Keeps the wheels safe while it cannot see."""
+
+    sonar = esair.reads(float, max_age=0.11)
+    wheels = esair.writes(float, priority=3)
+
+    def react(self, sonar: float) -> float | None:
+        return 0.0 if sonar < 0.2 else None
+
+
+@pytest.mark.promise("CALL-1", "AC-4")
+@pytest.mark.parametrize("waits", [(), (0.0,), (0.013,), (0.047, 0.005)], ids=str)
+@pytest.mark.parametrize("seed", range(6))
+async def test_calls_of_a_driver_never_overlap(
+    waits: tuple[float, ...], seed: int
+) -> None:
+    """Motions, safe commands past a blind hold, a halt: one after the other."""
+    wheels, chance = Counts(*waits), random.Random(seed)
+    sonar = FakeSensor("sonar", 1.0)
+    drives = [Drive(seed), Drive(seed + 100, "other")]
+    async with esair.Robot(
+        resources=[sonar, wheels], behaviors=[*drives, Stop()]
+    ) as robot:
+        for _ in range(80):
+            await asyncio.sleep(chance.uniform(0.001, 0.25))
+            if chance.random() < 0.1:
+                await robot.halt("enough")
+                robot.resume()
+            chance.choice([sonar.silence, sonar.speak])()
+            sonar.feed(chance.uniform(0.0, 3.0))
+    assert wheels.most == 1
+    assert sum(map(bool, wheels.landed)) > 5
+    assert wheels.landed[-1] == 0.0
+
+
+@pytest.mark.promise("CALL-1", "AC-4")
+@pytest.mark.parametrize("waits", [(), (0.02,)], ids=str)
+async def test_a_driver_that_halts_the_robot_is_told_so_afterwards(
+    waits: tuple[float, ...],
+) -> None:
+    """What it was told last is to be safe, and its own call is over before that."""
+    wheels, sonar, drive = Counts(*waits), FakeSensor("sonar", 1.0), Drive()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[drive]) as robot:
+        wheels.during = lambda: robot.halt("its driver has seen enough")
+        await asyncio.sleep(1.0)
+        assert wheels.most == 1
+        assert any(wheels.landed)
+        assert wheels.landed[-1] == 0.0
+
+
+@pytest.mark.promise("CALL-1", "AC-4")
+@pytest.mark.parametrize("waits", [(), (0.02,)], ids=str)
+async def test_a_driver_that_brings_news_is_not_called_from_within(
+    waits: tuple[float, ...],
+) -> None:
+    """A reaction to what it says amid a call has its turn after that call."""
+    wheels, sonar, drive = Counts(*waits), FakeSensor("sonar", 1.0), Drive()
+    parts: list[Any] = [sonar, wheels]
+    async with esair.Robot(resources=parts, behaviors=[drive, Stop()]):
+        await asyncio.sleep(0.1)
+        wheels.landed.clear()
+        wheels.during = lambda: sonar.feed(0.05)
+        await asyncio.sleep(0.5)
+        assert wheels.most == 1
+        moved = next(place for place, speed in enumerate(wheels.landed) if speed)
+        assert wheels.landed[moved + 1 :]
+        assert not any(wheels.landed[moved + 1 :])
