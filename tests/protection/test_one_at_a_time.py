@@ -123,3 +123,43 @@ async def test_a_driver_that_brings_news_is_not_called_from_within(
         moved = next(place for place, speed in enumerate(wheels.landed) if speed)
         assert wheels.landed[moved + 1 :]
         assert not any(wheels.landed[moved + 1 :])
+
+
+class Stubborn(Counts):
+    """Goes on with a motion for half a second, whoever cancels it."""
+
+    async def write(self, command: float) -> None:
+        if not command:
+            await super().write(command)
+            return
+        until = asyncio.get_running_loop().time() + 0.53
+        while (left := until - asyncio.get_running_loop().time()) > 1e-9:
+            try:
+                await asyncio.sleep(left)
+            except asyncio.CancelledError:
+                continue
+        self.landed.append(command)
+
+
+class Once(esair.Behavior):
+    wheels = esair.writes(float)
+
+    async def run(self) -> None:
+        await self.wheels.write(0.4)
+
+
+@pytest.mark.promise("CALL-2", "ROB-2")
+@pytest.mark.parametrize("way", ["stop", "remove"])
+async def test_what_waits_for_a_motion_goes_on_when_it_ends(way: str) -> None:
+    """And no later: safe is sent once more, and that was it."""
+    wheels = Stubborn()
+    wheels.deadline = 0.2
+    loop = asyncio.get_running_loop()
+    async with esair.Robot(resources=[wheels], behaviors=[Once()]) as robot:
+        await asyncio.sleep(0.11)
+        begun = loop.time()
+        if way == "remove":
+            await robot.behaviors.remove("once")
+            assert loop.time() - begun < 0.55
+    assert loop.time() - begun < 0.55
+    assert wheels.landed[-2:] == [0.4, 0.0]
