@@ -14,6 +14,10 @@ from esair.testing import FakeActuator, FakeSensor
 pytestmark = pytest.mark.virtual_clock
 
 
+OPENED = 7.0
+"""Stands in what has landed where the device was opened."""
+
+
 class Counts(FakeActuator[float]):
     """Counts how many of its calls are alive at once; some of them wait."""
 
@@ -23,6 +27,10 @@ class Counts(FakeActuator[float]):
         self.during = during
         self.alive = self.most = 0
         self.landed: list[float] = []
+
+    async def open(self) -> None:
+        await super().open()
+        self.landed.append(OPENED)
 
     async def write(self, command: float) -> None:
         self.alive += 1
@@ -66,13 +74,13 @@ class Stop(esair.Reaction):
         return 0.0 if sonar < 0.2 else None
 
 
-@pytest.mark.promise("CALL-1", "AC-4")
+@pytest.mark.promise("CALL-1", "AC-4", "RES-2")
 @pytest.mark.parametrize("waits", [(), (0.0,), (0.013,), (0.047, 0.005)], ids=str)
 @pytest.mark.parametrize("seed", range(6))
 async def test_calls_of_a_driver_never_overlap(
     waits: tuple[float, ...], seed: int
 ) -> None:
-    """Motions, safe commands past a blind hold, a halt: one after the other."""
+    """Motions, safe commands past a blind hold, a halt, a loss: one after the other."""
     wheels, chance = Counts(*waits), random.Random(seed)
     sonar = FakeSensor("sonar", 1.0)
     drives = [Drive(seed), Drive(seed + 100, "other")]
@@ -85,10 +93,19 @@ async def test_calls_of_a_driver_never_overlap(
                 await robot.halt("enough")
                 robot.resume()
             chance.choice([sonar.silence, sonar.speak])()
+            if chance.random() < 0.15:
+                wheels.unplug()
+                await asyncio.sleep(chance.choice([0.0, chance.uniform(0.0, 0.1)]))
+                wheels.plug()
             sonar.feed(chance.uniform(0.0, 3.0))
     assert wheels.most == 1
-    assert sum(map(bool, wheels.landed)) > 5
+    assert sum(map(bool, wheels.landed)) > 20
     assert wheels.landed[-1] == 0.0
+    begun = [place for place, what in enumerate(wheels.landed) if what == OPENED]
+    assert len(begun) > 3
+    for place in begun:  # it is safe before it moves
+        after = [what for what in wheels.landed[place:] if what != OPENED]
+        assert after[0] == 0.0
 
 
 @pytest.mark.promise("CALL-1", "AC-4")
@@ -162,4 +179,5 @@ async def test_what_waits_for_a_motion_goes_on_when_it_ends(way: str) -> None:
             await robot.behaviors.remove("once")
             assert loop.time() - begun < 0.55
     assert loop.time() - begun < 0.55
-    assert wheels.landed[-2:] == [0.4, 0.0]
+    landed = [what for what in wheels.landed if what != OPENED]
+    assert landed[-2:] == [0.4, 0.0]
