@@ -350,6 +350,8 @@ class SafeCommand:
 
     def attach(self) -> None:
         """Begin with a device that was told nothing."""
+        if self._task is None:
+            self.state = None
         self._number = 0  # of the newest call with the safe command, if that waits
         self._stays = False
         """What is on its way is to stay, because safe is a place to go."""
@@ -401,7 +403,10 @@ class SafeCommand:
 
     def up(self) -> None:
         """The device is open, and was told it by `at_opening`."""
-        if self.state is AGAIN:
+        again = self.state is AGAIN
+        if self._task is None:
+            self.state = None
+        if again:
             self.make()
 
     def close(self) -> None:
