@@ -138,12 +138,12 @@ def value_type(cls: type, base: type) -> Any:
 def same_type(given: Any, wanted: Any) -> bool:
     """Tell whether values of one type may be used where another is wanted."""
     return all(
-        any(_same_type(one, other) for other in _alternatives(wanted))
-        for one in _alternatives(given)
+        any(_same_type(one, other) for other in alternatives(wanted))
+        for one in alternatives(given)
     )
 
 
-def _alternatives(kind: Any) -> tuple[Any, ...]:
+def alternatives(kind: Any) -> tuple[Any, ...]:
     """The types of a union; any other type alone."""
     if typing.get_origin(kind) in {typing.Union, types.UnionType}:
         return typing.get_args(kind)
@@ -166,14 +166,14 @@ def _same_type(given: Any, wanted: Any) -> bool:
 
 def fits(value: object, kind: Any) -> bool:
     """Tell whether a value is of a type, or of one of a union, as far as that can be seen."""
-    for each in _alternatives(kind):
+    for each in alternatives(kind):
         cls = checked_class(each)
         if cls is None:
             if each is not None or value is None:
                 return True
-        elif isinstance(value, cls):
-            return cls not in _REAL or not isinstance(value, bool)
-        elif passes_as(value, cls):
+        elif passes_as(value, cls) or (
+            isinstance(value, cls) and (cls not in _REAL or type(value) is not bool)
+        ):
             return True
     return False
 

@@ -397,6 +397,38 @@ def test_a_missing_field_is_a_bad_value() -> None:
         check({"linear": 0.0}, limits={"linear": (-1.0, 1.0)}).checked({})
 
 
+@attrs.frozen
+class Pwm:
+    duty: int
+
+
+@pytest.mark.fault("V03")
+@pytest.mark.promise("PRO-6")
+@given(
+    targets=st.lists(st.integers(-40, 40), min_size=1, max_size=4),
+    slew=st.floats(0.7, 90.0),
+    seconds=st.floats(0.003, 0.15),
+    of=st.sampled_from([lambda number: number, Pwm]),
+)
+def test_whole_numbers_change_no_faster_and_get_there(
+    targets: list[int], slew: float, seconds: float, of: Any
+) -> None:
+    """They stay whole, keep the pace in both directions, and reach what was asked for."""
+    its = check(of(0), slew=slew if of is not Pwm else {"duty": slew})
+    told, passed = of(0), 0.0
+    for target in targets:
+        begun, first = passed, getattr(told, "duty", told)
+        steps = math.ceil(abs(target - first) / (slew * seconds) * 1.01) + 2
+        for _ in range(steps):
+            passed += seconds
+            told = its.slewed(of(target), told, seconds)
+            number = getattr(told, "duty", told)
+            assert type(number) is int
+            assert min(first, target) <= number <= max(first, target)
+            assert abs(number - first) <= slew * (passed - begun) + 1.0
+        assert number == target
+
+
 @pytest.mark.fault("V03")
 @given(
     value=st.floats(-10, 10),

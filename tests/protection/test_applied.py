@@ -269,6 +269,51 @@ async def test_what_was_applied_is_a_number(waits: float) -> None:
         await asyncio.sleep(0.3)
         error = robot.behaviors.query("drive").error
         assert isinstance(error, esair.DeviceFaultError)
-        assert "it has applied nan" in str(error)
+        assert "it has applied: expected a finite number, not nan" in str(error)
     assert 1.0 in wheels.commands
     assert set(look.seen) <= {0.0}
+
+
+class Doubtful(FakeActuator[float]):
+    """Applies what it is told, and does not always say so."""
+
+    deadline = 0.2
+    how = ""
+
+    async def write(self, command: float) -> None:
+        await super().write(command)
+        if command == 4.0 and self.how == "raises":
+            raise ValueError("checksum")
+        if command == 4.0 and self.how == "silent":
+            await asyncio.sleep(5.0)
+
+
+@pytest.mark.promise("PRO-11", "SC-3")
+@pytest.mark.parametrize("how", ["raises", "silent", "cancelled"])
+async def test_what_may_have_been_applied_is_not_known(how: str) -> None:
+    """A guard that looks at it is blind until something was applied again."""
+    wheels = Doubtful("wheels", safe=esair.HOLD, command_timeout=60.0)
+    wheels.how = "silent" if how == "cancelled" else how
+
+    class Steer(esair.Behavior):
+        wheels = esair.writes(float)
+        applied = esair.reads(float, name="wheels.applied")
+
+        async def run(self) -> None:
+            self.seen: list[Any] = []
+            for speed in (1.0, 4.0, 2.0):
+                try:
+                    async with asyncio.timeout(0.1 if how == "cancelled" else 1.0):
+                        await self.wheels.write(speed)
+                except (esair.EsairError, TimeoutError):
+                    await asyncio.sleep(0.3)
+                try:
+                    self.seen.append(await self.applied.read(timeout=0.05))
+                except esair.StaleReadingError:
+                    self.seen.append(None)
+            await asyncio.sleep(100.0)
+
+    steer = Steer()
+    async with esair.Robot(resources=[wheels], behaviors=[steer]):
+        await asyncio.sleep(3.0)
+    assert steer.seen == [1.0, None, 2.0]

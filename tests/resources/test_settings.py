@@ -50,6 +50,31 @@ def test_the_constructor_sets_them() -> None:
     assert type(sonar.rate) is float
 
 
+class Arm(esair.Actuator[float]):
+    safe = 0.0
+    home = esair.setting((0.0, 0.0))
+
+    async def write(self, command: float) -> None: ...
+
+    @esair.operation
+    async def follow(self, points: list[float], pace: float | str = 1.0) -> None: ...
+
+
+@pytest.mark.promise("RS-4", "RS-7", "AC-1")
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_what_is_inside_is_finite(bad: float) -> None:
+    """Of a setting, and of a parameter of an operation, as of a command."""
+    with pytest.raises(
+        esair.BadValueError, match="home: expected a finite number at 1"
+    ):
+        Arm(home=(0.0, bad))
+    follow = Arm().operations["follow"]
+    for points, pace in (([0.5, bad], 1.0), ([0.5], bad)):
+        with pytest.raises(esair.BadValueError, match="expected a finite number"):
+            follow.check("arm", {"points": points, "pace": pace})
+    assert follow.check("arm", {"points": [0.5], "pace": "slow"})
+
+
 @pytest.mark.promise("RS-4")
 @pytest.mark.fault("G02", "G03")
 @pytest.mark.parametrize(

@@ -454,7 +454,9 @@ class ActuatorChannel(Device):
             if not wire.told.is_safe:
                 wire.told.error = ""
             wire.took(call.args[0], end.value)
-        elif not (call.cancelled or isinstance(end.error, CallRefused)):
+        elif call.cancelled:
+            wire.unknown()
+        elif not isinstance(end.error, CallRefused):
             wire.failed(end.error, "write")
         if call.ended is not None:  # else its driver still has the device
             self._lane_free(call)

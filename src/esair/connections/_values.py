@@ -1,8 +1,8 @@
-"""Values that come and leave: what is inside of them, and whether they are good.
+"""Values that come and leave: whether they are good.
 
-One walk finds what is no finite number, wherever it hides; commands are compared, and
-weighed against each other, part by part. A reading is checked before it reaches an action,
-a command before it may leave, and what a guard returns before it takes a command's place.
+Commands are compared, and weighed against each other, part by part. A reading is checked
+before it reaches an action, a command before it may leave, and what a guard returns before
+it takes a command's place.
 """
 
 from __future__ import annotations
@@ -13,238 +13,38 @@ import enum
 import math
 import numbers
 import operator
-import types
 import typing
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import attrs
 
 from esair.exceptions import BadValueError, describe
+from esair.flaws import (
+    DEPTH,
+    NUMBER,
+    TOO_DEEP,
+    Flaw,
+    fields_of,
+    flaw,
+    parts_of,
+    slots_of,
+)
 from esair.messages import Stamped
 from esair.resources import HOLD, Actuator, Sensor
-from esair.values import checked_class, once_for_class, passes_as, type_name
-
-DEPTH = 8  # how deep parts of a value are looked at
-
-NUMBER = "a number"
+from esair.values import (
+    checked_class,
+    hints_of,
+    passes_as,
+    type_name,
+)
 
 ATOMS_AND_NUMBERS = (int, float, complex, str, bytes, enum.Enum, type(None))
 """What cannot be changed."""
 
-_ATOMS = (str, bytes, bytearray, memoryview, range, type, types.ModuleType)
-"""What cannot hide a number that is not finite."""
-
 _WHOLE = (str, bytes, bytearray, enum.Enum, type)  # what is compared as a whole
 
 _MISSING: Any = object()
-
-
-# The walk.
-
-
-class Flaw(NamedTuple):
-    """The first part of a value that must not be there.
-
-    Attributes:
-        path: Where it is: names and places, from the outside to the inside.
-        value: What is there.
-        expected: What should be there.
-        row: What it is in if that is of numbers: a row, or an array.
-    """
-
-    path: tuple[object, ...]
-    value: Any
-    expected: str
-    row: str = ""
-
-    def place(self) -> str:
-        """Name where it is, as the errors of commands do."""
-        return ".".join(map(str, self.path))
-
-    def place_in(self, value: Any) -> str:
-        """Name where it is, as the errors of readings do; empty for the whole."""
-        place = ""
-        for name in self.path[:-1] if self.row else self.path:
-            names = getattr(type(value), "_fields", None)
-            if names and isinstance(name, int):
-                place += f".{names[name]}"
-            else:
-                place += f"[{name}]" if isinstance(name, int) else f".{name}"
-            value = dict(parts_of(value)).get(name)
-        return place.removeprefix(".")
-
-
-TOO_DEEP = "no nesting as deep as this"
-
-_FINITE = "a finite number"
-_ATOM, _ENUM, _MAPPING, _OBJECT = "an atom", "a member", "a mapping", "an object"
-_ARRAY, _ROW = "an array", "a row"
-_BUILT_IN: dict[type, str] = {
-    **dict.fromkeys((float, int, bool, complex), NUMBER),
-    **dict.fromkeys((str, bytes, type(None)), _ATOM),
-    **dict.fromkeys((list, tuple, set, frozenset), _ROW),
-    dict: _MAPPING,
-}
-"""Of the classes that cannot keep what was found out about them."""
-
-_HEAP_TYPE = 1 << 9  # a class that was made by a statement
-
-_ROUTINES = (
-    types.FunctionType,
-    types.BuiltinFunctionType,
-    types.MethodType,
-    types.MethodDescriptorType,
-    types.WrapperDescriptorType,
-    types.MethodWrapperType,
-)
-
-
-def flaw(
-    value: Any, kinds: Mapping[str, str] | None = None, *, rows: bool = False
-) -> Flaw | None:
-    """Return the first thing in a value that is no finite number, or too deep.
-
-    Fields, entries and their keys, attributes and slots are looked into, of any object.
-
-    Args:
-        value: Any value at all; what its own code raises, this raises.
-        kinds: What has to be where: a number, or what has numbers in it.
-        rows: Whether infinity passes in a row of numbers, for "nothing in reach".
-    """
-    return _Walk(kinds or {}, rows=rows).find(value, ())
-
-
-class _Walk:
-    """Looks through one value; each object in it once, however often it is there."""
-
-    def __init__(self, kinds: Mapping[str, str], *, rows: bool) -> None:
-        self._kinds = kinds
-        self._rows = rows
-        self._within: dict[int, Any] = {}
-        self._seen: dict[int, Any] = {}
-
-    def find(
-        self, value: Any, path: tuple[object, ...], *, in_row: bool = False
-    ) -> Flaw | None:
-        kind = self._kinds.get(".".join(map(str, path)), "") if self._kinds else ""
-        shape = _shape_of(type(value))
-        if shape == NUMBER:
-            if self._rows and in_row and isinstance(value, float):
-                return Flaw(path, value, NUMBER) if value != value else None
-            if value - value != 0:
-                return Flaw(path, value, _FINITE)
-            return Flaw(path, value, kind) if kind not in {"", NUMBER} else None
-        if shape == _ATOM:
-            return Flaw(path, value, kind) if kind else None
-        if kind == NUMBER:
-            return Flaw(path, value, NUMBER)
-        if not self._kinds and self._is_clean(value, shape):
-            return None
-        if id(value) in self._seen:
-            return None
-        if len(path) > DEPTH or id(value) in self._within:
-            return Flaw(path, value, TOO_DEEP)
-        self._within[id(value)] = value
-        parts = parts_of(value)
-        if kind and not parts:
-            return Flaw(path, value, kind)
-        is_row = shape in {_ROW, _ARRAY} and not fields_of(type(value))
-        for name, part in parts:
-            found = self.find(part, (*path, name), in_row=is_row)
-            if found is not None:
-                if is_row and len(found.path) == len(path) + 1:
-                    alike = all(_shape_of(type(each)) == NUMBER for _, each in parts)
-                    found = found._replace(row=shape if alike else "")
-                return found
-        # Kept: another object could get the number of one that is gone.
-        self._seen[id(value)] = self._within.pop(id(value))
-        return None
-
-    def _is_clean(self, value: Any, shape: str) -> bool:
-        """Tell, at once, of a row or an array of numbers whether all of them pass."""
-        if shape == _ARRAY:
-            kind = getattr(getattr(value, "dtype", None), "kind", "")
-            if isinstance(kind, str) and kind in {"f", "c"}:
-                bad = value != value if self._rows else value - value != 0
-                return not bool(bad.any())
-            return isinstance(kind, str) and kind != "" and kind in "biuSUmM"
-        if shape != _ROW:
-            return False
-        try:
-            if self._rows:
-                return not any(map(math.isnan, value))
-            return all(map(math.isfinite, value))
-        except TypeError:
-            return False  # they are no numbers: each is looked into
-        except OverflowError:  # a whole number that is too large for a computation
-            if self._rows:
-                raise
-            return False
-
-
-def _shape_of(cls: type) -> str:
-    """What a value of a class is to the walk."""
-    found = _BUILT_IN.get(cls)
-    if found is None:
-        found = _shape_of_class(cls)
-        if not cls.__flags__ & _HEAP_TYPE:  # it is there as long as the process
-            _BUILT_IN[cls] = found
-    return found
-
-
-@once_for_class
-def _shape_of_class(cls: type) -> str:
-    if issubclass(cls, numbers.Number):
-        return NUMBER
-    if cls is type(None) or issubclass(cls, _ATOMS) or issubclass(cls, _ROUTINES):
-        return _ATOM
-    if issubclass(cls, enum.Enum):
-        return _ENUM
-    if issubclass(cls, Mapping):
-        return _MAPPING
-    if hasattr(cls, "__array__"):
-        return _ARRAY
-    return _ROW if issubclass(cls, Collection) else _OBJECT
-
-
-def parts_of(value: Any) -> list[tuple[object, Any]]:
-    """The parts of a value by their names or places: fields, entries, attributes."""
-    shape = _shape_of(type(value))
-    if shape in {NUMBER, _ATOM}:
-        return []
-    if shape == _ENUM:
-        return [("value", value.value)]
-    if shape == _MAPPING:
-        return [*value.items(), *enumerate(value)]
-    if shape == _ARRAY:
-        return list(enumerate(value.ravel().tolist()))
-    parts: dict[object, Any] = dict(enumerate(value)) if shape == _ROW else {}
-    for name in _slots_of(type(value)):
-        if hasattr(value, name):
-            parts[name] = getattr(value, name)
-    parts.update(getattr(value, "__dict__", {}))
-    return list(parts.items())
-
-
-@once_for_class
-def _slots_of(cls: type) -> tuple[str, ...]:
-    return tuple(
-        name
-        for each in cls.__mro__
-        for name, slot in vars(each).items()
-        if isinstance(slot, types.MemberDescriptorType)
-    )
-
-
-@once_for_class
-def fields_of(cls: type) -> tuple[str, ...]:
-    """The fields of a structured value: attrs, a dataclass, or a named tuple."""
-    if attrs.has(cls):
-        return tuple(field.name for field in attrs.fields(cls))
-    return tuple(
-        getattr(cls, "__dataclass_fields__", ()) or getattr(cls, "_fields", ())
-    )
 
 
 # Commands beside each other.
@@ -330,7 +130,7 @@ def _pairs(one: Any, other: Any) -> dict[Any, tuple[Any, Any]] | None:
         return {place: (one[place], other[place]) for place in range(len(one))}
     names = list(fields_of(type(one))) or [
         *getattr(one, "__dict__", ()),
-        *_slots_of(type(one)),
+        *slots_of(type(one)),
     ]
     if not names:
         return None
@@ -433,6 +233,9 @@ class CommandCheck:
         self._stays = actuator.safe is HOLD
         self._limits = limits_by_field(actuator.limits)
         self._slew = limits_by_field(actuator.slew)
+        self._whole = {each for each in self._slew if _is_whole(actuator, each)}
+        self._exact: dict[str, float] = {}
+        """How far whole numbers are in truth that change by less than one at a time."""
         self._fields = _number_fields(actuator.safe)
         get: Any = operator.attrgetter(*self._fields or [""])
         self._get = (lambda command: (get(command),)) if len(self._fields) == 1 else get
@@ -537,13 +340,21 @@ class CommandCheck:
                     field, "its change is limited: each command must have it"
                 ) from None
             step = slew * max(seconds, 0.0)
+            is_whole = field in self._whole and type(value) is type(before) is int
+            start = self._exact.get(field, before) if is_whole else before
+            if start != before and abs(start - before) >= 1:
+                start = before  # it was told something else since
             try:
-                bounded = min(before + step, max(before - step, value))
+                bounded = min(start + step, max(start - step, value))
             except TypeError:
                 raise self._bad(
                     field,
                     f"its change is limited: expected a number, not {value!r:.80}",
                 ) from None
+            if is_whole:
+                self._exact[field] = bounded
+                up, down = math.floor(bounded), math.ceil(bounded)
+                bounded = max(before, up) if value > before else min(before, down)
             if bounded != value:
                 changes[field] = bounded
         return changed(command, changes)
@@ -588,6 +399,19 @@ class CommandCheck:
                 high, max(low, value)
             )  # value is finite: checked before
         return changed(command, changes)
+
+
+def _is_whole(actuator: Actuator[Any], field: str) -> bool:
+    """Tell whether a command, or a field of it, is a whole number."""
+    kind, safe = actuator.value_type, actuator.safe
+    if field:
+        cls = type(safe) if safe is not HOLD else checked_class(kind)
+        kind = hints_of(cls).get(field, Any) if cls is not None else Any
+    if kind is not Any:
+        return kind is int
+    with contextlib.suppress(AttributeError, LookupError):
+        return type(part_of(safe, field)) is int
+    return False
 
 
 def _is_frozen(wanted: Any) -> bool:

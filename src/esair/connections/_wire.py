@@ -15,7 +15,7 @@ import attrs
 
 from esair.connections._calls import Call, Guard, Method, translate_call
 from esair.connections._gate import LastCommand
-from esair.connections._values import TOO_DEEP, CommandCheck, flaw
+from esair.connections._values import CommandCheck
 from esair.exceptions import (
     DeviceFaultError,
     DeviceLostError,
@@ -23,6 +23,7 @@ from esair.exceptions import (
     EsairError,
     describe,
 )
+from esair.flaws import unsound
 from esair.journal import Kind
 from esair.loop import REACHED, Deadlines, spawn, wake
 from esair.messages import Refused, ResourceState, Written
@@ -219,6 +220,7 @@ class Wire:
     def failed(self, error: BaseException, kind: str) -> EsairError:
         """Take note of what the driver has raised; returns what its caller gets."""
         told, device = self.told, self._device
+        self.unknown()
         translated = self.translated(error, kind)
         told.error = describe(translated)
         if self._journal.heard.unanswered:
@@ -254,17 +256,17 @@ class Wire:
             command = self.told.base
         self.applied.took(copy.deepcopy(command))  # who has the answer may change it
 
+    def unknown(self) -> None:
+        """Tell those who read it that nobody knows what is applied now."""
+        if self.applied is not None:
+            self.applied.took(None)
+
     def unsound(self, command: Any, applied: Any) -> DeviceFaultError | None:
         """Return what is wrong with what a driver says it has applied, if anything is."""
-        if not isinstance(applied, type(command)):
-            return None  # whatever its driver means by it
-        with contextlib.suppress(BaseException):  # it may be an object of any class
-            found = flaw(applied, rows=True)
-            if found is not None and found.expected != TOO_DEEP:
-                where = f"{found.place()} = " if found.path else ""
-                told = f"expected {found.expected}, it has applied {where}{found.value!r:.80}"
-                return DeviceFaultError(self._device.name, told)
-        return None
+        # Of another class it is whatever its driver means by it.
+        told = unsound(applied) if isinstance(applied, type(command)) else ""
+        fault = DeviceFaultError(self._device.name, f"it has applied: {told}")
+        return fault if told else None
 
     def unsettled(self) -> Call | None:
         """Return a call that is alive, and may still undo what it was told since.

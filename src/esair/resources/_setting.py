@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-import math
-import typing
 from collections.abc import Callable, Collection, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, TypeVar, cast, overload
@@ -14,8 +12,10 @@ import attrs
 
 from esair import abc
 from esair.exceptions import BadValueError, UnknownNameError, did_you_mean
+from esair.flaws import unsound
 from esair.values import (
-    checked_class,
+    alternatives,
+    fits,
     hints_of,
     is_positive,
     once_for_class,
@@ -88,8 +88,8 @@ class Setting:
         """Say what is wrong with a value; nothing if it is allowed."""
         if self.default is not None and type(value) is not self.type:
             return f"expected {self._in_words()}, not {value!r:.80}"
-        if isinstance(value, float) and not math.isfinite(value):
-            return f"expected a finite number, not {value}"
+        if wrong := unsound(value):
+            return wrong
         if self.choices is not None and value not in self.choices:
             names = ", ".join(repr(choice) for choice in self.choices)
             return f"expected one of {names}, not {value!r:.80}"
@@ -237,21 +237,13 @@ class Parameter:
         Raises:
             ValueError: The type is wrong, or the number is not finite.
         """
-        fits = False
-        for kind in _alternatives(self.type):
-            if kind is type(None):
-                fits = fits or value is None
-                continue
+        for kind in alternatives(self.type):
             if kind in {int, float} and passes_as(value, kind):
-                value = kind(value)
-            elif kind in {int, float}:
-                continue
-            cls = checked_class(kind)
-            fits = fits or cls is None or isinstance(value, cls)
-        if not fits:
+                value = kind(value)  # of NumPy, say
+        if not fits(value, self.type):
             raise ValueError(f"expected {type_name(self.type)}, not {value!r:.80}")
-        if isinstance(value, float) and not math.isfinite(value):
-            raise ValueError(f"expected a finite number, not {value}")
+        if wrong := unsound(value):
+            raise ValueError(wrong)
         return value
 
     def __str__(self) -> str:
@@ -411,8 +403,3 @@ def _described(component: type[Any], name: str, marked: Any) -> Operation:
     )
     doc = (inspect.getdoc(function) or "").partition("\n")[0]
     return Operation(name, parameters, getattr(marked, _MARK), doc)
-
-
-def _alternatives(kind: Any) -> tuple[Any, ...]:
-    arguments = typing.get_args(kind)
-    return arguments if type(None) in arguments else (kind,)
