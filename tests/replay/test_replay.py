@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import os
 import random
@@ -14,6 +15,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
+import attrs
 import pytest
 from tests.patience import within
 from tests.replay import robots
@@ -25,6 +27,7 @@ from esair.codec import Kinds
 from esair.exceptions import RecordingBrokenError
 from esair.recording import Kept, chunks_of, events_of
 from esair.replay import Replay, Unrepeatable, unrepeatable
+from esair.testing import FakeActuator
 
 pytestmark = pytest.mark.real_clock
 
@@ -162,6 +165,56 @@ class Tells(esair.Reaction):
 
     def react(self, echo: float) -> float:
         return self.now_ms + self.elapsed_ms / 1024
+
+
+@attrs.frozen
+class Look(esair.Request[float]):
+    """What a thread is asked for."""
+
+
+class Eyes(esair.ThreadBehavior):
+    """Answers from its thread, after some work."""
+
+    looks = esair.takes(Look)
+    lamp = esair.writes(float)
+
+    def run(self) -> None:
+        for number, request in enumerate(self.looks):
+            with request:
+                time.sleep(0.007 * (number % 3))
+                request.progress(0.5)
+                self.lamp.write(0.1 * number)
+                if number % 4 == 3:
+                    request.refuse("enough for now")
+                elif number % 4 != 2:  # else it leaves without an answer
+                    request.answer(0.5 + number)
+
+
+class Asker(esair.Behavior):
+    async def run(self) -> None:
+        for _ in range(9):
+            await asyncio.sleep(0.023)
+            with contextlib.suppress(esair.EsairError):
+                await self.ask("eyes", Look(), progress=lambda _: None)
+        await self.stop_robot("it has seen enough")
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("REP-2", "BS-8")
+def test_what_a_thread_has_answered_is_answered_again(tmp_path: Path) -> None:
+    """Whenever it did, its answers, progress and refusals come in the same turns."""
+
+    def make(**options: Any) -> esair.Robot:
+        lamp: Any = FakeActuator("lamp", safe=0.0)
+        return esair.Robot(
+            name="seer", resources=[lamp], behaviors=[Eyes(), Asker()], **options
+        )
+
+    path = tmp_path / "run.mcap"
+    esair.run(make(record=esair.Recording(path)))
+    outcome = Replay(path).run(make())
+    assert (outcome.divergence, outcome.late) == (None, "")
+    assert outcome.equal > 30
 
 
 @pytest.mark.promise("REA-4", "REP-2")

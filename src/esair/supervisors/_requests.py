@@ -22,6 +22,7 @@ from esair.actions import Takes, taken
 from esair.exceptions import (
     BadValueError,
     BehaviorFailedError,
+    BehaviorRemovedError,
     BehaviorUnavailableError,
     BusyError,
     CircularRequestError,
@@ -31,7 +32,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Journal, Kind
-from esair.loop import Deadline, Portal, current_task_of, spawn, wake, wake_one
+from esair.loop import Deadline, Portal, current_task_of, portal, spawn, wake, wake_one
 from esair.messages import BehaviorState
 
 if TYPE_CHECKING:
@@ -591,6 +592,16 @@ class Order(Request):
     def _in_loop(self, function: Callable[[Any], bool], value: Any) -> bool:
         if not _is_elsewhere(self.loop):
             return function(value)
+        way = portal.get(None)
+        if way is not None and way.loop is self.loop:
+            # By the door: a recording repeats when it was said.
+            async def say() -> bool:
+                return function(value)
+
+            try:
+                return way.call(say)
+            except BehaviorRemovedError:
+                return False
         told: concurrent.futures.Future[bool] = concurrent.futures.Future()
 
         def do() -> None:
