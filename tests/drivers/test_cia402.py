@@ -293,3 +293,37 @@ async def test_one_bus_has_one_sync(wire: FakeCan, far: FakeDrive) -> None:
         assert [frame for frame in wire.sent if frame.id == 0x80] == []
         await one.open()
         await two.open()
+
+
+class Haul(esair.Behavior):
+    """Turns the winch for a while."""
+
+    winch = esair.writes(float)
+
+    async def run(self) -> None:
+        for _ in range(20):
+            await self.winch.write(0.5)
+            await asyncio.sleep(0.05)
+        await asyncio.sleep(1e6)
+
+
+@pytest.mark.promise("BUS-4", "AC-2", "CALL-2")
+@pytest.mark.parametrize("sync", [None, 0.02])
+@pytest.mark.parametrize("seconds", [0.03, 0.13, 1.3])
+async def test_a_drive_that_missed_its_stop_is_stopped(
+    sync: float | None, seconds: float
+) -> None:
+    """Its plug was loose: it is missed by what it does not tell, or by what it tells then."""
+    wire = FakeCan("wire")
+    far = FakeDrive(wire, node=5)
+    winch = Drive(name="winch", bus=wire, node=5, factor=0.001, sync=sync)
+    async with esair.Robot(resources=[winch], behaviors=[Haul()]) as robot:
+        await asyncio.sleep(0.93 + winch.command_timeout)  # just before it is due
+        assert far.velocity
+        wire.silence()
+        await asyncio.sleep(seconds)
+        wire.speak()
+        await asyncio.sleep(3.0)
+        assert far.drive_state is not State.ENABLED
+        assert not far.velocity
+        assert robot.resources.query("winch").state is esair.ResourceState.READY

@@ -225,6 +225,12 @@ ENABLE_TIMEOUT: Final = 1.0
 ASK_PERIOD: Final = 0.05
 """After which silence a drive is asked for its statusword, in seconds."""
 
+SILENCE: Final = 0.25
+"""How long a drive may tell nothing that tells periodically, in seconds."""
+
+STOPS_WITHIN: Final = 0.25
+"""How long a drive may tell that it is enabled after it was told to stop, in seconds."""
+
 LONGEST_SYNC: Final = 0.1
 """The longest period of the SYNC: a stop may wait for it, in seconds."""
 
@@ -256,6 +262,8 @@ class OnDrive(OnNode):
         )
         self.tell_every: float = check_seconds(self.name, "tell_every", tell_every)
         self._is_prepared = False
+        self._silence: float | None = None
+        """After which silence it is lost; None if it may tell changes alone."""
         self._sync: Sync | None = None
 
     def _check_sync(self, sync: float | None) -> float | None:
@@ -284,8 +292,12 @@ class OnDrive(OnNode):
                 raise DeviceFaultError(self.name, f"the file has no object {index:#x}")
         pdo.cob_id = pdo.predefined_cob_id
         pdo.trans_type = 255 if self.sync is None else 1
+        period = self.tell_every if self.sync is None else self.sync
+        self._silence = max(SILENCE, 10 * period)
         if 5 not in pdo.com_record.od:
             pdo.event_timer = None
+            if self.sync is None:
+                self._silence = None
         pdo.enabled = True
         pdo.save()
 
@@ -339,6 +351,7 @@ class DriveActuator(OnDrive):
         """What the drive told last; None while it is not open."""
         self._is_on = False
         self._is_stopping = False
+        self._stopped_at = 0.0
         self._newest = 0
         self._emergency: Emergency | None = None
         self._watching: asyncio.Task[None] | None = None
@@ -418,6 +431,7 @@ class DriveActuator(OnDrive):
             await self.bus.send(SYNC, b"")
         if word == QUICK_STOP and self.state is State.ENABLED:
             self.state = State.QUICK_STOP
+            self._stopped_at = asyncio.get_running_loop().time()
             self._is_stopping = True  # what it told before may still come
 
     def _begin(self) -> int:
@@ -475,19 +489,37 @@ class DriveActuator(OnDrive):
         self._news.set()
 
     async def _watch(self, inbox: Inbox[Frame]) -> None:
+        loop, missed = asyncio.get_running_loop(), 0
+        half = None if self._silence is None else self._silence / 2
         try:
-            async for frame in inbox:
+            while True:
+                try:
+                    frame = await inbox.take(timeout=half)
+                except TimeoutError:  # once it may be that this computer was held up
+                    missed += 1
+                    if missed == 2:
+                        text = f"it has told nothing for {self._silence:g} s"
+                        self.report_lost(DeviceLostError(self.name, text))
+                        return
+                    continue
+                missed = 0
                 if len(frame.data) < 2:
                     continue
                 self._hear(int.from_bytes(frame.data[:2], "little"))
                 if self.state in {State.FAULT, State.FAULT_REACTION}:
                     self.report_lost(self._fault())
                     return
+                if self._is_stopping and loop.time() - self._stopped_at > STOPS_WITHIN:
+                    text = f"it is enabled {STOPS_WITHIN:g} s after it was told to stop"
+                    self.report_lost(DeviceFaultError(self.name, text))
+                    return
                 if self._is_on and self.state is not State.ENABLED:
                     assert self.state is not None
                     text = f"it is not enabled any more: it is {self.state.value}"
                     self.report_lost(DeviceFaultError(self.name, text))
                     return
+        except StopAsyncIteration:
+            pass  # its bus is closed
         except OSError as error:
             self.report_lost(error)
         finally:
@@ -576,7 +608,8 @@ class Drive(DriveActuator, Actuator[float]):
     one; the safe command stops it. At each opening a fault is cleared once, and one that
     remains is a fault of the device. While it is open a fault, with what the drive has
     said in emergency messages, or that it is disabled by somebody else is a fault at
-    once; it is opened again and not enabled until a fresh command.
+    once; it is opened again and not enabled until a fresh command. So is one that tells
+    nothing for 0.25 s, or ten times its period, or is enabled 0.25 s after its stop.
 
     Args:
         factor: The unit of its target velocity, in rad/s.
