@@ -37,7 +37,7 @@ from esair.drivers.odrive import (
 )
 from esair.drivers.odrive.fake import FakeOdrive
 from esair.exceptions import DeviceFaultError, DeviceLostError
-from esair.testing import ActuatorContract, SensorContract
+from esair.testing import ActuatorContract, FakeCan, SensorContract
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -390,3 +390,32 @@ async def test_an_axis_that_is_protected_stays_where_it_is(
     assert axis.safe_moves is (safe is not None)
     await axis.close()
     await wire.close()
+
+
+class Spin(esair.Behavior):
+    """Turns the axis for a second."""
+
+    axis = esair.writes(float)
+
+    async def run(self) -> None:
+        for _ in range(20):
+            await self.axis.write(0.5)
+            await asyncio.sleep(0.05)
+        await asyncio.sleep(1e6)
+
+
+@pytest.mark.promise("BUS-4", "AC-2", "CALL-2")
+async def test_an_axis_that_missed_to_be_idle_is_told_again() -> None:
+    """Its plug was loose for a moment; its heartbeat says that it is armed."""
+    wire = FakeCan("wire")
+    far = FakeOdrive(wire, node=3)
+    axis = OdriveAxis(name="axis", bus=wire, node=3, control="torque", idle=True)
+    async with esair.Robot(resources=[axis], behaviors=[Spin()]) as robot:
+        await asyncio.sleep(0.93 + axis.command_timeout)  # just before safe is due
+        assert far.state is CLOSED_LOOP
+        wire.silence()
+        await asyncio.sleep(0.03)
+        wire.speak()
+        await asyncio.sleep(4.0)
+        assert far.state is IDLE
+        assert robot.resources.query("axis").state is esair.ResourceState.READY

@@ -429,6 +429,7 @@ class OdriveAxis(_OnAxis, Actuator[float]):
         self.safe_moves: bool = goes and safe is not HOLD
         self.idle = idle
         self._armed_at: float | None = None
+        self._idle_at: float | None = None  # when it was told to be idle
         """When it was told to enter closed loop control; None if it was not."""
         self._holds = False
         """Whether it is kept where it is, at velocity 0 instead of at a position."""
@@ -473,6 +474,7 @@ class OdriveAxis(_OnAxis, Actuator[float]):
         loop = asyncio.get_running_loop()
         self._armed_at = loop.time() if was_armed else None
         self._confirmed = was_armed
+        self._idle_at = None
         self._watching = loop.create_task(
             self._watch(inbox), name=f"{self.name} heartbeat"
         )
@@ -497,8 +499,10 @@ class OdriveAxis(_OnAxis, Actuator[float]):
             await self._let_go()
             if self.idle:
                 self._armed_at = None
+                self._idle_at = asyncio.get_running_loop().time()
                 await self._enter(AxisState.IDLE)
             return
+        self._idle_at = None
         if self._armed_at is None:
             # With its mode: it may have started anew more quickly than is noticed.
             await self._send(Message.SET_CONTROLLER_MODE, encode_mode(self.control))
@@ -551,7 +555,13 @@ class OdriveAxis(_OnAxis, Actuator[float]):
     def _problem(self, heartbeat: Heartbeat) -> EsairError | None:
         if heartbeat.errors:
             return DeviceFaultError(self.name, ", ".join(heartbeat.error_names))
+        now = asyncio.get_running_loop().time()
         if self._armed_at is None:
+            idle_for = 0.0 if self._idle_at is None else now - self._idle_at
+            is_armed = heartbeat.state is AxisState.CLOSED_LOOP_CONTROL
+            if is_armed and idle_for > ARM_TIMEOUT:
+                text = f"it is armed {ARM_TIMEOUT:g} s after it was told to be idle"
+                return DeviceFaultError(self.name, text)
             return None
         if heartbeat.state is AxisState.CLOSED_LOOP_CONTROL:
             self._confirmed = True
@@ -560,7 +570,7 @@ class OdriveAxis(_OnAxis, Actuator[float]):
             return DeviceLostError(  # which is nothing wrong: it may have restarted
                 self.name, f"it has left closed loop control for {heartbeat.state.name}"
             )
-        if asyncio.get_running_loop().time() - self._armed_at > ARM_TIMEOUT:
+        if now - self._armed_at > ARM_TIMEOUT:
             return DeviceFaultError(
                 self.name,
                 f"it was not armed in {ARM_TIMEOUT:g} s: it is {heartbeat.state.name}",
