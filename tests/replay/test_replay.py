@@ -199,6 +199,54 @@ class Asker(esair.Behavior):
         await self.stop_robot("it has seen enough")
 
 
+class Follows(esair.Reaction):
+    echo = esair.reads(float)
+    wheel = esair.writes(float)
+
+    def react(self, echo: float) -> float:
+        return 0.3 * echo
+
+
+class Planner(esair.Behavior):
+    """Ends its steps by chance."""
+
+    echo = esair.reads(float)
+    wheel = esair.writes(float)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.drawn: list[float] = []
+
+    def _by_chance(self, _: object = None) -> bool:
+        self.drawn.append(esair.random.random())
+        return self.drawn[-1] > 0.7
+
+    async def run(self) -> None:
+        for _ in range(5):
+            await self.perform(Follows(), until=self._by_chance, timeout=0.35)
+        await self.stop_robot("it was enough")
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("REP-3", "REP-2")
+def test_what_ends_a_step_draws_from_the_stream_of_its_behavior(tmp_path: Path) -> None:
+    """Chance in ``until`` is that of the seed, in a run and in its repetition."""
+    planners = [Planner() for _ in range(3)]
+
+    def make(planner: Planner, **options: Any) -> esair.Robot:
+        parts: list[Any] = [Echo(), Wheel()]
+        return esair.Robot(resources=parts, behaviors=[planner], seed=5, **options)
+
+    path = tmp_path / "run.mcap"
+    esair.run(make(planners[0], record=esair.Recording(path)))
+    assert Replay(path).run(make(planners[1])).divergence is None
+    esair.run(make(planners[2]))
+    assert planners[0].drawn == planners[1].drawn
+    count = min(len(each.drawn) for each in planners)
+    assert count > 2
+    assert planners[0].drawn[:count] == planners[2].drawn[:count]
+
+
 @pytest.mark.real_clock
 @pytest.mark.promise("REP-2", "BS-8")
 def test_what_a_thread_has_answered_is_answered_again(tmp_path: Path) -> None:

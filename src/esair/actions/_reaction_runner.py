@@ -322,11 +322,15 @@ class ReactionRunner:
 
     def _is_over(self) -> bool:
         assert self._until is not None
+        stepping = self._stepping
+        stepping.runner, before = self, stepping.runner
         try:
             over = self._until(self.senses.by_name())
         except BaseException as error:  # contained: one component's failure
             self.crash(error)
             return True
+        finally:
+            stepping.runner = before
         if over:
             self.stop()
             self._hooks.end()
