@@ -53,7 +53,7 @@ IN_ESAIR = {
 }
 """Modules whose names are in `esair`."""
 
-PRIVATE = {"cli", "codec", "demo", "loading", "loop", "placement", "values"}
+PRIVATE = {"cli", "codec", "demo", "flaws", "loading", "loop", "placement", "values"}
 
 HIDDEN = {
     "esair.minimal.declared",

@@ -495,6 +495,24 @@ async def test_the_driver_itself_ends_the_repeats_of_a_command(fake_can: Any) ->
         assert len(wire.sent) > 90, "the safe command is repeated for good"
 
 
+@pytest.mark.promise("CALL-1")
+async def test_what_has_failed_is_not_repeated(fake_can: Any) -> None:
+    """Its writer was told that it was not sent: no cycle sends it afterwards."""
+    wire = fake_can("drive")
+    async with opened(command(wire, cycle=0.01)) as wheels:
+        await wheels.write({"left": 0.0, "right": 0.0})
+        await asyncio.sleep(0.05)
+        safe = {frame.data[:4] for frame in wire.sent}
+        wire.fail(ValueError("odd"), times=1)
+        with pytest.raises(ValueError, match="odd"):
+            await wheels.write({"left": 1.0, "right": 1.0})
+        await asyncio.sleep(0.3)
+        assert {frame.data[:4] for frame in wire.sent} == safe
+        await wheels.write({"left": 1.0, "right": 1.0})
+        await asyncio.sleep(0.05)
+        assert {frame.data[:4] for frame in wire.sent} != safe
+
+
 @pytest.mark.fault("C04", "C05")
 @pytest.mark.parametrize(
     ("what", "told"),

@@ -21,8 +21,8 @@ OPENED = 7.0
 class Counts(FakeActuator[float]):
     """Counts how many of its calls are alive at once; some of them wait."""
 
-    def __init__(self, *waits: float, during: Any = None) -> None:
-        super().__init__("wheels", safe=0.0, command_timeout=0.3)
+    def __init__(self, *waits: float, during: Any = None, **options: Any) -> None:
+        super().__init__("wheels", safe=0.0, command_timeout=0.3, **options)
         self.waits = waits
         self.during = during
         self.alive = self.most = 0
@@ -181,3 +181,42 @@ async def test_what_waits_for_a_motion_goes_on_when_it_ends(way: str) -> None:
     assert loop.time() - begun < 0.55
     landed = [what for what in wheels.landed if what != OPENED]
     assert landed[-2:] == [0.4, 0.0]
+
+
+class Wanders(esair.Behavior):
+    """Drives on, as fast as its driver lets it."""
+
+    wheels = esair.writes(float)
+
+    async def run(self) -> None:
+        while True:
+            await self.wheels.write(1.0)
+            await asyncio.sleep(0.001)
+
+
+class Brakes(esair.Reaction):
+    sonar = esair.reads(float)
+    wheels = esair.writes(float, priority=20)
+
+    def react(self, sonar: float) -> float | None:
+        return 0.0 if sonar < 0.5 else None
+
+
+@pytest.mark.promise("AC-2", "PRO-6")
+@pytest.mark.parametrize("takes", [0.003, 0.021, 0.04, 0.057])
+@pytest.mark.parametrize("rate", [19.0, 25.0, 50.0])
+async def test_a_slew_lets_a_slow_driver_brake(takes: float, rate: float) -> None:
+    """What was told is from when it was sent: as fast as declared, and no slower."""
+    wheels = Counts(takes, slew=2.0)
+    sonar = FakeSensor("sonar", 1.0, rate=rate)
+    async with esair.Robot(
+        resources=[sonar, wheels], behaviors=[Wanders(), Brakes()]
+    ) as robot:
+        await asyncio.sleep(1.3)
+        assert wheels.landed[-1] == 1.0
+        sonar.feed(0.2)
+        await asyncio.sleep(0.3)
+        assert wheels.landed[-1] > 0.2
+        await asyncio.sleep(0.5)
+        assert wheels.landed[-1] == 0.0
+        assert robot.resources.query("wheels").state is esair.ResourceState.READY

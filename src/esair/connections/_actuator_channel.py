@@ -387,7 +387,7 @@ class ActuatorChannel(Device):
         if not wire.slews:
             return command
         # After a pause it starts from the safe command, not with a jump.
-        seconds = now - max(self.hold.written, wire.told.at)
+        seconds = now - max(self.hold.begun, wire.told.at)
         return wire.slewed(command, min(seconds, wire.command_timeout))
 
     def _kept_away(
@@ -703,6 +703,7 @@ class ActuatorChannel(Device):
         """An operation has its outcome: nobody knows what moves, so it is made safe."""
         if call is not None and call is self.wire.lane and call.ended is not None:
             self.wire.lane = None
+        self.hold.begun = min(self.hold.begun, self.time())
         self.safe.after_operation()
         self._idle()
 

@@ -644,12 +644,18 @@ class DbcActuator(Actuator[Any]):
     async def write(self, command: Any) -> None:
         """Send a command."""
         values = self._values(command)
+        before = self._last, self._last_is_safe, self._written
         self._last = values
         self._last_is_safe = command == self.safe
         self._written = asyncio.get_running_loop().time()
         self._writing += 1
         try:
             await self._send(values)
+        except BaseException:
+            if self._last is values and not self._last_is_safe:
+                # It was not sent: what its writer has heard of as failed comes no more.
+                self._last, self._last_is_safe, self._written = before
+            raise
         finally:
             self._writing -= 1
 
