@@ -361,6 +361,63 @@ async def test_a_reaction_is_performed_for_a_limited_time() -> None:
         await wheels.until(0.0)
 
 
+@pytest.mark.promise("BEH-3", "AC-2")
+@pytest.mark.parametrize("mine", [0, 5])
+@pytest.mark.parametrize("how", ["until", "timeout", "cancel", "it gave back"])
+async def test_what_a_step_moved_is_safe_when_it_ends(mine: int, how: str) -> None:
+    """Also where the behavior that performs it may write with the same priority."""
+
+    class Performs(Idle):
+        wheels = esair.writes(float, priority=mine)
+
+    class Leg(Follow):
+        def react(self, sonar: float) -> float | None:  # type: ignore[override]
+            return None if how == "it gave back" and sonar > 5.0 else 0.7
+
+    sonar, wheels = devices()
+    performs = Performs(name="performs")
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[performs]):
+        until = (lambda sonar: sonar > 5.0) if how == "until" else None
+        step = asyncio.ensure_future(performs.perform(Leg(), until=until, timeout=0.3))
+        await wheels.until(0.7)
+        await asyncio.sleep(0.13)
+        sonar.feed(9.0)
+        if how == "cancel":
+            step.cancel()
+        await asyncio.wait({step})
+        await asyncio.sleep(0.01)
+        assert wheels.commands[-1] == 0.0
+        # What is its own it goes on to have.
+        assert await performs.wheels.write(0.2)
+
+
+@pytest.mark.promise("BEH-3", "AC-2")
+async def test_a_step_that_moved_nothing_makes_nothing_safe() -> None:
+    """Its behavior drives beside it, by the same right."""
+
+    class Drives(Idle):
+        wheels = esair.writes(float)
+
+        async def run(self) -> None:
+            async for _ in esair.every(0.05):
+                await self.wheels.write(0.4)
+
+    class Looks(Follow):
+        def react(self, sonar: float) -> float | None:  # type: ignore[override]
+            return None
+
+    sonar, wheels = devices()
+    drives = Drives(name="drives")
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[drives]):
+        await wheels.until(0.4)
+        step = asyncio.ensure_future(drives.perform(Looks(), timeout=0.33))
+        await asyncio.sleep(0.11)  # until it has decided it keeps them safe
+        count = len(wheels.commands)
+        assert await step is False
+        await asyncio.sleep(0.1)
+        assert set(wheels.commands[count:]) == {0.4}
+
+
 @pytest.mark.promise("BEH-3")
 async def test_reactions_in_sequence() -> None:
     """One after the other, with what the behavior itself has declared."""
@@ -383,6 +440,7 @@ async def test_reactions_in_sequence() -> None:
             await wheels.until(value - 1.0)
             sonar.feed(value)
         await wheels.until(7.0)
+        await asyncio.sleep(0.01)
         assert steps.done
 
 

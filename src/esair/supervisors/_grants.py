@@ -438,7 +438,7 @@ class Step:
     async def run(self, timeout: float | None) -> bool:
         """Run it until its condition comes true or its time is over."""
         self.sight.accept()
-        timer = None
+        timer, began = None, self._loop.time()
         try:
             self._uses = bind(
                 self.runner, self._reaction, self._member.grants, self.own
@@ -453,6 +453,12 @@ class Step:
             self._sees_again()
             for registration in self.own:
                 self._member.crew.resources.control.revoke(registration)
+            for output in self.runner.outputs.all.values():
+                # One that is its behavior's, too, stays; what the step did with it ends.
+                hold, right = output.channel.hold, output.registration
+                gave_back = hold.holder is None and hold.writer is right
+                if output.active or (gave_back and hold.begun >= began):
+                    output.channel.drop(right)
             self.sight.leave()
 
     @property
