@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import re
 import select
 import time
@@ -141,6 +142,11 @@ def test_a_robot_is_watched_and_steered(esair, robot):
     esair("resume")
     time.sleep(0.2)
     assert told(folder)[-1] == 1.0
+    # No reason at all keeps it from halting: several words, no text, far too much.
+    for reason in (["a", "cat", "ran"], [os.fsdecode(b"caf\xe9")], ["x" * 100_000]):
+        assert "halted: " in esair("stop", *reason)
+        assert told(folder)[-1] == 0.0
+        esair("resume")
 
     esair("remove", "always")
     time.sleep(0.1)

@@ -23,6 +23,9 @@ VERBS: Final = (
 _PATIENCE: Final = {"operate": 600.0}
 """How long an answer may take beside what the act's own fields say, in s; else 15."""
 
+LONGEST: Final = 500
+"""How many characters a reason for a halt has at most; what is beyond is left out."""
+
 _OPTIONS: Final[dict[str, Any]] = {"robot": Which, "machine": AsJson}
 _OF_STOP: Final[dict[str, Any]] = {
     "everyone": Annotated[
@@ -41,7 +44,7 @@ def verb_of(name: str) -> Callable[..., int]:
     options = _OPTIONS | (_OF_STOP if name == "stop" else {})
     signature = inspect.Signature(
         [
-            *(_parameter(*each) for each in act.fields.items()),
+            *(_parameter(*each, of=name) for each in act.fields.items()),
             *(
                 inspect.Parameter(
                     each, inspect.Parameter.KEYWORD_ONLY, annotation=kind, default=None
@@ -58,7 +61,9 @@ def verb_of(name: str) -> Callable[..., int]:
         fields = bound.arguments
         for each, field in act.fields.items():
             value = fields[each]
-            if not field.is_table:
+            if name == "stop":
+                fields[each] = _sentence(value) or field.default
+            elif not field.is_table:
                 fields[each] = value if field.is_number else field.of_word(value)
             elif all("=" in word for word in value):
                 fields[each] = table_of(value)
@@ -78,7 +83,12 @@ def verb_of(name: str) -> Callable[..., int]:
     return verb
 
 
-def _parameter(name: str, field: Field) -> inspect.Parameter:
+def _sentence(words: tuple[str, ...]) -> str:
+    """Return why somebody halts, whatever was typed: no halt fails for its reason."""
+    return " ".join(words).encode("utf-8", "replace").decode()[:LONGEST]
+
+
+def _parameter(name: str, field: Field, *, of: str) -> inspect.Parameter:
     kind: Any = float if field.is_number else str
     where: Any = inspect.Parameter.POSITIONAL_ONLY
     default = field.default
@@ -86,8 +96,8 @@ def _parameter(name: str, field: Field) -> inspect.Parameter:
         default = inspect.Parameter.empty
     elif field.is_number:
         where = inspect.Parameter.KEYWORD_ONLY
-    if field.is_table:
-        where = inspect.Parameter.VAR_POSITIONAL
+    if field.is_table or of == "stop":
+        default, where = inspect.Parameter.empty, inspect.Parameter.VAR_POSITIONAL
     kind = Annotated[
         kind | None if default is None else kind, Parameter(help=field.doc)
     ]
