@@ -12,6 +12,7 @@ from tests.net.parts import STILL, Dock, Hand, Pair, Twist
 import esair
 from esair.buses.peer import PeerBus
 from esair.buses.peer._wire import Head, packed
+from esair.testing import FakeActuator
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -472,3 +473,45 @@ async def test_a_command_is_judged_when_it_leaves(slow: float) -> None:
         told = [command for _, command in sent]
         assert (Twist(0.2, 0.0) in told) is (slow < TIMEOUT), told
         assert pair.to_rover.stats.refused == (slow > TIMEOUT)
+
+
+@pytest.mark.promise("BS-11", "NET-2")
+async def test_a_cancellation_that_is_lost_in_a_gap_is_made_good() -> None:
+    """Nobody works on, at the other robot, for somebody who is gone."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand):
+        asking = asyncio.ensure_future(hand.ask("far_docking", Dock(2)))
+        await asyncio.sleep(0.31)
+        assert pair.docking.begun == [2]
+        pair.network.cut()
+        await asyncio.sleep(0.2)
+        asking.cancel()
+        await asyncio.sleep(0.4)
+        pair.network.heal()
+        await asyncio.sleep(2.5)
+        assert pair.docking.cancelled == 1
+        asking = asyncio.ensure_future(hand.ask("far_docking", Dock(3)))
+        await asyncio.sleep(5.0)  # as long as somebody waits it is worked on
+        assert pair.docking.cancelled == 1
+        pair.docking.go.set()
+        assert (await asking).bay == 3
+
+
+@pytest.mark.promise("ROB-4", "PRO-7", "NET-2")
+@pytest.mark.parametrize("way", ["halt", "remove", "end"])
+async def test_what_a_peer_moved_is_safe_when_it_lets_go(way: str) -> None:
+    """At once, as with a local one, however long its owner would let it move."""
+    pair, hand = Pair(), Hand()
+    pair.wheels = FakeActuator("wheels", safe=STILL, command_timeout=2.0)
+    async with pair.base(), pair.rover(hand) as rover:
+        await asyncio.sleep(0.3)
+        assert await hand.wheels.write(Twist(0.3, 0.0))
+        if way == "halt":
+            told = await rover.halt("enough")
+            assert [each.answered for each in told] == [True]
+        elif way == "remove":
+            await rover.behaviors.remove("hand")
+        else:
+            await rover.stop("enough")
+        await asyncio.sleep(0.05)
+        assert pair.wheels.commands[-1] == STILL

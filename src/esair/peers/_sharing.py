@@ -110,6 +110,7 @@ class Sharing(Behavior):
         """Take what the peer says from now on."""
         self._feeds: dict[str, asyncio.Task[None]] = {}
         self._asks: dict[int, asyncio.Task[None]] = {}
+        self._missing: set[int] = set()
         self._orders: asyncio.Queue[tuple[Any, ...]] = asyncio.Queue(64)
         self._commands: dict[str, asyncio.Queue[tuple[Any, ...]]] = {
             name: asyncio.Queue(_WAITING) for name in self._all("write")
@@ -155,15 +156,27 @@ class Sharing(Behavior):
                     if parts[0] in self._asks:
                         self._asks[parts[0]].cancel()
                 elif what == "pending":
-                    for number in parts[0]:
-                        if type(number) is int and number not in self._asks:
-                            self._answer(number, "lost", "it is not known there")
+                    self._compare(parts[0])
                 elif what == "lost":
                     for task in (*self._feeds.values(), *self._asks.values()):
                         task.cancel()
                     self._feeds.clear()
                 else:
                     self._not_shared(parts[0], parts[1])
+
+    def _compare(self, pending: list[Any]) -> None:
+        """End what nobody waits for any more, and tell what is not worked on here.
+
+        Its cancellation may be lost in a gap. One request may overtake a list: it has
+        to be missing twice.
+        """
+        for number in pending:
+            if type(number) is int and number not in self._asks:
+                self._answer(number, "lost", "it is not known there")
+        missing = self._asks.keys() - {n for n in pending if type(n) is int}
+        for number in missing & self._missing:
+            self._asks[number].cancel()
+        self._missing = missing
 
     # Answers.
 
@@ -185,8 +198,10 @@ class Sharing(Behavior):
         while True:
             what, since, number, _, *rest = await queue.get()
             if what == "release":
-                port.release()
-                self._answer(number, "written", None)
+                if await port._let_go():  # noqa: SLF001 - for nobody but a peer
+                    self._answer(number, "written", None)
+                else:
+                    self._answer(number, "failed", "it did not take its safe command")
                 continue
             # Judged when it leaves: it may wait behind a slow call of another writer.
             expires = since + port.command_timeout

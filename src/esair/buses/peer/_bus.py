@@ -166,9 +166,8 @@ class PeerBus(Bus):
                 self._gone(f"no echo of a beat for {silent:.2g} s")
             elif self.is_open and self._beats % _FOLLOW_AGAIN == 0:
                 self._tell_followed()
-                asks = [n for n, each in self._pending.items() if each.is_ask]
-                if asks:  # a message may be lost with a connection, and no gap tells
-                    self.say("pending", asks)
+                # A message may be lost with a connection, or in a gap.
+                self.say("pending", [n for n, e in self._pending.items() if e.is_ask])
             await asyncio.sleep(BEAT)
 
     def _gone(self, told: str) -> None:
