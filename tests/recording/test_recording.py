@@ -557,3 +557,21 @@ def test_a_message_has_all_that_json_has(tmp_path: Path, value: object) -> None:
     with segment.path.open("rb") as file:
         ((_, _, message),) = make_reader(file).iter_messages()
     assert json.loads(message.data) == {"value": value}
+
+
+@pytest.mark.promise("REC-4")
+def test_a_name_that_another_robot_takes_first_is_not_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was free when this one looked: the next one is taken, and the other is untouched."""
+    taken, looks, lexists = tmp_path / "run.mcap", [], os.path.lexists
+    taken.write_bytes(b"another robot's")
+
+    def look(path: Any) -> bool:
+        looks.append(path)
+        return len(looks) > 1 and lexists(path)
+
+    monkeypatch.setattr(os.path, "lexists", look)
+    esair.run(esair.Robot(record=esair.Recording(taken)), duration=0.05)
+    assert taken.read_bytes() == b"another robot's"
+    assert is_whole(tmp_path / "run-2.mcap")

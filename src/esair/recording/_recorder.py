@@ -48,6 +48,8 @@ PATIENT = 60.0  # The same where time is virtual
 SLICE = 0.0004
 """How long events are written at once, in seconds: who computes holds up the loop."""
 
+TRIES = 100  # Free names of a file that others take first, until it is an error
+
 LOOK = 0.03  # How long it waits for more where everything is written, in seconds
 
 VALUE_LIMIT = 1 << 20
@@ -108,7 +110,7 @@ class Recorder:
         self._over = threading.Event()
         self._is_late = False  # The end has come, and takes no longer
         self._told_loss = False
-        self._segment = self._next_segment()
+        self._segment = self._first_segment(name)
         self._thread = threading.Thread(
             target=self._work, name="esair-recorder", daemon=True
         )
@@ -295,6 +297,17 @@ class Recorder:
             )
 
     # Segments.
+
+    def _first_segment(self, name: str) -> Segment:
+        for _ in range(TRIES):
+            try:
+                return self._next_segment()
+            except RecordingError as error:
+                if not isinstance(error.__cause__, FileExistsError):
+                    raise
+            # Another robot, which starts at the same moment, was quicker.
+            self._number, self.path = 0, _place(self.recording.path, name)
+        return self._next_segment()
 
     def _next_segment(self) -> Segment:
         self._number += 1
