@@ -245,6 +245,7 @@ class Journal:
         """The number of the last event."""
         self._listeners: tuple[Listener, ...] = ()
         self._made: list[tuple[Any, ...]] = []
+        self._keep = self._made.append  # hot: bound once
         """The events of this turn that listeners were not given yet."""
         self._residents: dict[Kind, tuple[Callable[[Event], object], ...]] = {}
         self._counted: dict[str, Counted] = {}
@@ -325,7 +326,7 @@ class Journal:
         self.number = number = self.number + 1
         made = (number, self._time(), kind, component, peer, value, text)
         if self._listeners:
-            self._made.append(made)
+            self._keep(made)
             if number >= self._flush_at:
                 self._flush_soon()
         # Last: what they do are events too, and everybody hears the cause first.

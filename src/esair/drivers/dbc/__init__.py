@@ -644,17 +644,15 @@ class DbcActuator(Actuator[Any]):
     async def write(self, command: Any) -> None:
         """Send a command."""
         values = self._values(command)
-        before = self._last, self._last_is_safe, self._written
         self._last = values
         self._last_is_safe = command == self.safe
         self._written = asyncio.get_running_loop().time()
         self._writing += 1
         try:
             await self._send(values)
-        except BaseException:
+        except BaseException:  # it was not sent, and is not repeated
             if self._last is values and not self._last_is_safe:
-                # It was not sent: what its writer has heard of as failed comes no more.
-                self._last, self._last_is_safe, self._written = before
+                self._last = None
             raise
         finally:
             self._writing -= 1
@@ -668,12 +666,8 @@ class DbcActuator(Actuator[Any]):
         if self._in_packets:
             await send_in_packets(self.bus, self._id, data)
             return
-        await self.bus.send(
-            self._id,
-            data,
-            extended=self.codec.message.is_extended_frame,
-            replaces=self.codec.topic(values),
-        )
+        extended, topic = self.codec.message.is_extended_frame, self.codec.topic(values)
+        await self.bus.send(self._id, data, extended=extended, replaces=topic)
 
     async def _repeat(self, cycle: float) -> None:
         loop = asyncio.get_running_loop()
