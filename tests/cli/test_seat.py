@@ -5,7 +5,9 @@ import json
 import os
 import re
 import select
+import signal
 import time
+from pathlib import Path
 
 import pytest
 from tests.patience import within
@@ -102,6 +104,15 @@ def robot(tmp_path, monkeypatch, start):
         raise TimeoutError
 
     return run
+
+
+def process_in(folder):
+    """Return the first process that runs in a folder."""
+    for number in sorted(int(each.name) for each in Path("/proc").glob("[0-9]*")):
+        with contextlib.suppress(OSError):  # it has ended, or is another user's
+            if os.readlink(f"/proc/{number}/cwd") == str(folder):
+                return number
+    raise LookupError(folder)
 
 
 def told(folder):
@@ -206,6 +217,21 @@ def test_several_robots_are_told_apart_by_name(esair, robot):
     esair("stop", "--all")
     assert told(two)[-1] == 0.0
     assert "did you mean 'one'" in esair("resume", "--robot", "onne", code=2)
+
+
+@pytest.mark.promise("OPS-3")
+@pytest.mark.long
+def test_who_does_not_answer_holds_up_the_halt_of_nobody_else(esair, robot):
+    """``stop --all`` tells all at once, and names who has not answered."""
+    one, two = robot("one"), robot("two")
+    stuck = process_in(one)
+    os.kill(stuck, signal.SIGSTOP)
+    try:
+        shown = esair("stop", "--all", code=1)
+    finally:
+        os.kill(stuck, signal.SIGCONT)
+    assert "'one' has not answered" in shown
+    assert told(two)[-1] == 0.0
 
 
 @pytest.mark.promise("OPS-2")

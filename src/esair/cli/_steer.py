@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import concurrent.futures
 import inspect
 import json
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from cyclopts import Parameter
 
 from esair.cli._errors import CANNOT_USE, NOT_DONE, show, tell
 from esair.cli._options import AsJson, Which
+from esair.exceptions import describe
 from esair.seat import ACTS, Field, connect, robots, table_of
 from esair.values import printable
 
@@ -71,9 +73,10 @@ def verb_of(name: str) -> Callable[..., int]:
                 wrong = next(word for word in value if "=" not in word)
                 tell(f"expected name=value, not {printable(wrong)}")
                 return CANNOT_USE
-        names = [*robots()] if said.get("everyone") else [said["robot"]]
+        if said.get("everyone") and (names := [*robots()]):
+            return _do_all(names, name, fields, said["machine"])
         # None of no name tells that no robot runs.
-        return max(_do(each, name, fields, said["machine"]) for each in names or [None])
+        return _do(said["robot"], name, fields, said["machine"])
 
     verb.__name__, verb.__doc__ = name, f"{act.doc[0].upper()}{act.doc[1:]}."
     if name == "stop":
@@ -102,6 +105,20 @@ def _parameter(name: str, field: Field, *, of: str) -> inspect.Parameter:
         kind | None if default is None else kind, Parameter(help=field.doc)
     ]
     return inspect.Parameter(name, where, annotation=kind, default=default)
+
+
+def _do_all(robots: list[str], name: str, fields: dict[str, Any], as_json: bool) -> int:
+    """Do one act to several robots at once: who does not answer holds up nobody."""
+
+    def do(robot: str) -> int:
+        try:
+            return _do(robot, name, dict(fields), as_json)
+        except Exception as error:
+            tell(printable(str(error) or describe(error)))
+            return NOT_DONE
+
+    with concurrent.futures.ThreadPoolExecutor(len(robots)) as pool:
+        return max(pool.map(do, robots))
 
 
 def _do(robot: str | None, name: str, fields: dict[str, Any], as_json: bool) -> int:
