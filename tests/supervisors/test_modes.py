@@ -823,3 +823,62 @@ def test_whatever_interrupts_a_switch_leaves_one_mode(
                     raise AssertionError(f"history {seed}") from error
     finally:
         logging.getLogger("esair").setLevel(logging.NOTSET)
+
+
+class Works(esair.Behavior):
+    """Is done after a while, or fails; its setup may take long."""
+
+    restart = esair.Restart(max=0)
+
+    def __init__(
+        self, name: str, lasts: float = 1e6, *, fails: bool = False, setup: float = 0.0
+    ) -> None:
+        super().__init__(name=name)
+        self.lasts, self.fails, self.slow = lasts, fails, setup
+
+    async def setup(self) -> None:
+        await asyncio.sleep(self.slow)
+
+    async def run(self) -> None:
+        if self.lasts:
+            await asyncio.sleep(self.lasts)
+        if self.fails:
+            raise RuntimeError("no dock")
+
+
+@pytest.mark.promise("MODE-3")
+@pytest.mark.parametrize("fails", [False, True])
+async def test_a_mode_whose_behavior_is_done_at_once_is_followed(fails: bool) -> None:
+    """It was gone to by itself, and all of it has ended before that was over."""
+    modes = {
+        "explore": Mode(["explore"], then="dock"),
+        "dock": Mode(["dock"], then="charge", on_failure="charge"),
+        "charge": Mode(["charge"]),
+    }
+    behaviors = [
+        Works("explore", 0.3), Works("dock", 0.0, fails=fails), Works("charge")
+    ]  # fmt: skip
+    async with esair.Robot(behaviors=behaviors, modes=modes, mode="explore") as robot:
+        await asyncio.sleep(1.0)
+        assert robot.behaviors.mode == "charge"
+        assert robot.behaviors.query("charge").state is BehaviorState.RUNNING
+
+
+@pytest.mark.promise("MODE-2", "MODE-3")
+async def test_the_users_switch_wins_over_one_that_follows() -> None:
+    """It ends that, which is no failure: nothing newer comes after it."""
+    modes = {
+        "explore": Mode(["explore"], then="dock", on_failure="home"),
+        "dock": Mode(["dock"]),
+        "home": Mode(["home"]),
+        "safe": Mode(["safe"]),
+    }
+    behaviors = [
+        Works("explore", 0.3), Works("dock", setup=3.0), Works("home"), Works("safe")
+    ]  # fmt: skip
+    async with esair.Robot(behaviors=behaviors, modes=modes, mode="explore") as robot:
+        await asyncio.sleep(1.0)
+        await robot.behaviors.switch("safe", reason="the user")
+        await asyncio.sleep(5.0)
+        assert robot.behaviors.mode == "safe"
+        assert robot.behaviors.query("home").state is BehaviorState.RESTING

@@ -71,7 +71,7 @@ class Turns:
         """Done when a switch has come to its end, one way or the other."""
         self.leave: asyncio.Future[None] | None = None
         """There while those end whose turn is over, until what they moved is safe."""
-        self._following: asyncio.Task[None] | None = None
+        self._following: asyncio.Task[bool] | None = None
 
     def rests(self, name: str) -> bool:
         """Tell whether a behavior rests in the mode that the robot is in."""
@@ -252,21 +252,31 @@ class Turns:
         self._following = spawn(
             asyncio.get_running_loop(), self._go(mode, reason), name=f"mode {mode}"
         )
+        self._following.add_done_callback(self._look_again)
 
-    async def _go(self, mode: str, reason: str) -> None:
-        """Go to a mode that follows; if that fails, to the one after a failure."""
+    def _look_again(self, went: asyncio.Task[bool]) -> None:
+        """Those of the mode that was gone to may have ended before that was over."""
+        if not went.cancelled() and went.exception() is None and went.result():
+            self.look()
+
+    async def _go(self, mode: str, reason: str) -> bool:
+        """Go to a mode that follows; if that fails, to the one after a failure.
+
+        Tells whether it is there; a newer switch, the user's, is not undone.
+        """
         verbs: Any = self._crew.verbs
         here = self.modes.table[self.mode or ""]
         for each in dict.fromkeys([mode, here.on_failure or mode]):
             try:
                 await verbs.switch(each, reason)
-            except StoppingError:
-                return
+            except (StoppingError, RefusedError):
+                return False
             except EsairError as error:
                 told = describe(error)
                 _log.error("mode %s: it does not go to %s: %s", self.mode, each, told)
             else:
-                return
+                return True
+        return False
 
 
 START_TIMEOUT = 5.0
