@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import random
 from typing import Any
 
@@ -515,3 +516,20 @@ async def test_what_a_peer_moved_is_safe_when_it_lets_go(way: str) -> None:
             await rover.stop("enough")
         await asyncio.sleep(0.05)
         assert pair.wheels.commands[-1] == STILL
+
+
+@pytest.mark.promise("NET-3", "BS-10")
+async def test_who_waits_for_a_peer_that_is_taken_away_hears_of_it() -> None:
+    """What came of the request nobody knows: it waits for nothing."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand) as (_, rover):
+        asking = asyncio.ensure_future(hand.ask("far_docking", Dock(2), timeout=None))
+        await asyncio.sleep(0.3)
+        assert pair.docking.begun == [2]
+        for name in ("far_sonar", "far_wheels", "base"):
+            with contextlib.suppress(esair.UnknownNameError):
+                await rover.resources.remove(name)
+        async with asyncio.timeout(1.0):
+            with pytest.raises(esair.OutcomeUnknownError):
+                await asking
+        assert pair.docking.cancelled == 1

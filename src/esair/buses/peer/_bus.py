@@ -143,6 +143,8 @@ class PeerBus(Bus):
         """Say so, and beat no more."""
         if self.is_open:
             self.say("bye")
+        for each in self._pending.values():
+            fail(each.outcome, DeviceLostError(self.name, "it is used no more"))
         try:
             await super().close()
         finally:
