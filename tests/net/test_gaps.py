@@ -13,7 +13,7 @@ from tests.net.parts import STILL, Dock, Hand, Pair, Twist
 import esair
 from esair.buses.peer import PeerBus
 from esair.buses.peer._wire import Head, packed
-from esair.testing import FakeActuator
+from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -533,3 +533,37 @@ async def test_who_waits_for_a_peer_that_is_taken_away_hears_of_it() -> None:
             with pytest.raises(esair.OutcomeUnknownError):
                 await asking
         assert pair.docking.cancelled == 1
+
+
+@pytest.mark.promise("PRO-9", "NET-2")
+@pytest.mark.parametrize("gap", [0.13, 0.3, 0.6, 0.9])
+async def test_a_change_that_falls_into_a_gap_is_heard_after_it(gap: float) -> None:
+    """Of a sensor that tells changes alone; what has not changed is heard once."""
+    pair, hand = Pair(), Hand()
+    pair.sonar = FakeSensor("sonar")
+    heard: list[float] = []
+
+    class Hears(esair.Behavior):
+        sonar = esair.reads(float, name="far_sonar")
+
+        async def run(self) -> None:
+            while True:
+                with contextlib.suppress(esair.EsairError):
+                    async for value in self.sonar:
+                        heard.append(value)  # noqa: PERF401 - it never ends
+                await asyncio.sleep(0.01)
+
+    async with pair.both(hand, Hears()):
+        pair.sonar.feed(0.9)
+        await asyncio.sleep(2.3)
+        assert heard[-1] == 0.9
+        assert heard.count(0.9) == 1
+        pair.network.cut()
+        await asyncio.sleep(gap / 2)
+        pair.sonar.feed(0.3)
+        await asyncio.sleep(gap / 2)
+        pair.network.heal()
+        await asyncio.sleep(0.3)
+        assert heard[-1] == 0.3
+        await asyncio.sleep(3.0)
+        assert heard.count(0.3) == 1

@@ -11,7 +11,7 @@ from typing import Any, Final, Literal
 import attrs
 
 from esair.actions import Behavior, Request, reads, writes
-from esair.buses.peer import SILENCE, PeerBus
+from esair.buses.peer import QUIET, SILENCE, PeerBus
 from esair.exceptions import (
     BadValueError,
     BusyError,
@@ -111,6 +111,7 @@ class Sharing(Behavior):
         self._feeds: dict[str, asyncio.Task[None]] = {}
         self._asks: dict[int, asyncio.Task[None]] = {}
         self._missing: set[int] = set()
+        self._said_at: dict[str, float] = {}
         self._orders: asyncio.Queue[tuple[Any, ...]] = asyncio.Queue(64)
         self._commands: dict[str, asyncio.Queue[tuple[Any, ...]]] = {
             name: asyncio.Queue(_WAITING) for name in self._all("write")
@@ -244,6 +245,10 @@ class Sharing(Behavior):
             elif name not in self._feeds:
                 pause = 1.0 / min(rate, share.rate)
                 self._feeds[name] = tasks.create_task(self._feed(name, pause))
+            elif now() - self._said_at.get(name, -math.inf) > QUIET:
+                # What a sensor has pushed last may be lost in a gap.
+                with contextlib.suppress(EsairError):
+                    self._send(name, getattr(self, f"the_{name}").newest)
 
     async def _feed(self, name: str, pause: float) -> None:
         port = getattr(self, f"the_{name}")
@@ -262,6 +267,7 @@ class Sharing(Behavior):
 
     def _send(self, name: str, reading: Any) -> None:
         age = float(max(0.0, now() - reading.time))
+        self._said_at[name] = now()
         self.bus.say("reading", name, age, reading.value)
 
     def _is_there(self, name: str) -> bool:

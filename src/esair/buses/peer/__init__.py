@@ -3,13 +3,14 @@
 Only ``_zenoh.py`` knows zenoh, and imports it when the network is opened.
 """
 
-from esair.buses.peer._bus import BEAT, SILENCE, PeerBus, PeerNetwork
+from esair.buses.peer._bus import BEAT, QUIET, SILENCE, PeerBus, PeerNetwork
 from esair.buses.peer._fake import FakeNetwork
 from esair.buses.peer._wire import Head, head_of, packed, parts_of
 from esair.buses.peer._zenoh import Network, Tls
 
 __all__ = [
     "BEAT",
+    "QUIET",
     "SILENCE",
     "FakeNetwork",
     "Head",

@@ -35,6 +35,9 @@ BEAT = 0.05
 SILENCE = 1.0
 """A peer is lost whose newest echo is of a beat that was sent so many seconds ago."""
 
+QUIET = 0.08
+"""After so many seconds the newest reading of a sensor is said again, if it is asked for."""
+
 FIRST = 0.4
 """How long an opening waits for the first beat, in seconds."""
 
@@ -111,6 +114,8 @@ class PeerBus(Bus):
         self._numbers = itertools.count(secrets.randbits(31) << 20)
         self._pending: dict[int, _Request] = {}
         self._followed: dict[str, tuple[float, Inbox[Any]]] = {}
+        self._heard: dict[str, tuple[float, float, Any]] = {}
+        """Of each sensor when it was heard last, when that was measured, and what."""
 
     def declare(self, kind: Any) -> None:
         """Let the classes come that a component, or a port, declares."""
@@ -231,6 +236,8 @@ class PeerBus(Bus):
             self._its_beat, self._beat_at = head.beat, now
             if what != "bye" and (silent > 2.0 * BEAT or not self._alive.is_set()):
                 self.say("beat")  # it waits for an echo of what it says now
+                if self._alive.is_set() and self._followed:
+                    self._tell_followed()  # what was said in the gap is said again
         if head.echo_run == self._run and head.echo > self._beats:
             # A number came there that was never sent: count on from it, or what is
             # sent from now on stays unheard.
@@ -319,7 +326,11 @@ class PeerBus(Bus):
             elif sent > NEVER:
                 # It was measured no earlier than that, however long each way was.
                 now = asyncio.get_running_loop().time()
-                wanted[1].offer(Stamped(parts[2], min(now, sent - parts[1])))
+                at = min(now, sent - parts[1])
+                said, heard = (now, at, parts[2]), self._heard.get(parts[0])
+                if heard is None or not _is_again(heard, said):
+                    self._heard[parts[0]] = said
+                    wanted[1].offer(Stamped(parts[2], at))
 
     # What is said.
 
@@ -386,6 +397,7 @@ class PeerBus(Bus):
             if self._followed.get(sensor, (0.0, None))[1] is inbox:
                 del self._followed[sensor]
 
+        self._heard.pop(sensor, None)
         inbox: Inbox[Any] = Inbox(_READINGS, forget)
         self._followed[sensor] = rate, inbox
         self._tell_followed()
@@ -399,3 +411,14 @@ class PeerBus(Bus):
         self._serve = serve
         if serve is not None and self._alive.is_set():
             self.say("ready")
+
+
+def _is_again(heard: tuple[float, float, Any], now: tuple[float, float, Any]) -> bool:
+    """Tell whether a reading is the one from before, said once more after a while."""
+    waited, later = now[0] - heard[0], now[1] - heard[1]
+    if waited < QUIET or later > waited / 2:
+        return False
+    try:
+        return bool(now[2] == heard[2])
+    except Exception:  # such as of an array
+        return False
