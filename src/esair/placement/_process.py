@@ -17,6 +17,7 @@ import os
 import select
 import signal
 import socket
+import sys
 import threading
 from collections.abc import Callable, Coroutine, Iterable
 from typing import Any, Final
@@ -541,7 +542,7 @@ class Words:
         logger = logging.getLogger(name)
         if not is_record and not logger.isEnabledFor(level):
             with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
-                print(printable(text))  # noqa: T201 - as it would in the robot's process
+                print(printable(text), file=sys.stderr)  # noqa: T201 - as a log is
         logger.log(level, "%s", printable(text))
 
     def _keep(self, line: str) -> None:
