@@ -567,3 +567,19 @@ async def test_a_change_that_falls_into_a_gap_is_heard_after_it(gap: float) -> N
         assert heard[-1] == 0.3
         await asyncio.sleep(3.0)
         assert heard.count(0.3) == 1
+
+
+@pytest.mark.promise("RES-3", "NET-2")
+async def test_a_peers_actuator_that_is_unplugged_is_lost_and_comes_back() -> None:
+    """Its safe command has no answer there: that is a loss, and no fault of the peer."""
+    pair, hand = Pair(), Hand()
+    async with pair.base(), pair.rover(hand) as rover:
+        await asyncio.sleep(0.3)
+        assert await hand.wheels.write(Twist(0.3, 0.0))
+        pair.wheels.unplug()
+        await asyncio.sleep(30.0)
+        state = rover.resources.query("far_wheels").state
+        assert state is not esair.ResourceState.FAILED
+        pair.wheels.plug()
+        await asyncio.sleep(15.0)
+        assert await hand.wheels.write(Twist(0.2, 0.0))

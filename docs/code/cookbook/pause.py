@@ -20,7 +20,7 @@ class Work(esair.Behavior):
             done = 0
             while done < steps:
                 if await self.pause.read():
-                    self.wheels.release()  # it stops at once, not after the time-out
+                    self.wheels.release()  # it stops with its time-out
                 else:
                     await self.wheels.write(command)
                     done += 1

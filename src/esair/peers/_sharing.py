@@ -197,12 +197,13 @@ class Sharing(Behavior):
 
     async def _write(self, port: Any, queue: asyncio.Queue[tuple[Any, ...]]) -> None:
         while True:
-            what, since, number, _, *rest = await queue.get()
+            what, since, number, name, *rest = await queue.get()
             if what == "release":
                 if await port._let_go():  # noqa: SLF001 - for nobody but a peer
                     self._answer(number, "written", None)
                 else:
-                    self._answer(number, "failed", "it did not take its safe command")
+                    how = "failed" if self._is_there(name) else "lost"
+                    self._answer(number, how, "it did not take its safe command")
                 continue
             # Judged when it leaves: it may wait behind a slow call of another writer.
             expires = since + port.command_timeout
