@@ -59,7 +59,8 @@ PARTS_OF_ONE = {
         *("_behavior", "_needs"),
     },
     "esair.loop": {
-        *("_deadlines", "_door", "_of_loop", "_scheduler", "_tape", "_turn"),
+        *("_budget", "_deadlines", "_door", "_of_loop"),
+        *("_scheduler", "_tape", "_turn"),
     },
     "esair.connections": {
         *("_actuator_channel", "_device", "_gate"),

@@ -10,7 +10,7 @@ import pytest
 
 import esair
 from esair.connections._calls import ABANDONED_LIMIT
-from esair.loop import REACHED, SPENDABLE, WRITE_COST, Budget
+from esair.loop import REACHED, READ_COST, WRITE_COST, Budget
 from esair.messages import Stamped
 from esair.testing import FakeActuator, FakeSensor
 
@@ -194,14 +194,14 @@ async def test_as_many_calls_as_the_bound_may_be_abandoned(user_of: Any) -> None
 @pytest.mark.parametrize(
     ("verb", "cost"),
     [
-        (lambda user: user.sonar.read(), 1),
-        (lambda user: user.sonar.reading(), 1),
-        (lambda user: user.sonar.read(max_age=1.0), 2),
+        (lambda user: user.sonar.read(), READ_COST),
+        (lambda user: user.sonar.reading(), READ_COST),
+        (lambda user: user.sonar.read(max_age=1.0), 2 * READ_COST),
         (lambda user: user.wheels.write(0.5), WRITE_COST),
     ],
 )
 async def test_a_verb_that_need_not_wait_costs_what_it_costs(
-    verb: Callable[[Any], Awaitable[Any]], cost: int, user_of: Any
+    verb: Callable[[Any], Awaitable[Any]], cost: float, user_of: Any
 ) -> None:
     """With just so much left it does not give way, with less it does."""
     sonar, wheels = FakeSensor("sonar", 1.0, rate=4.0), FakeActuator("wheels", safe=0.0)
@@ -211,10 +211,11 @@ async def test_a_verb_that_need_not_wait_costs_what_it_costs(
         await user.sonar.read()
         await asyncio.sleep(0.25)
         budget = Budget.of(asyncio.get_running_loop())
-        for left, after in ((cost, 0), (cost - 1, SPENDABLE)):
-            budget.left = left
+        for left, is_refilled in ((1.1 * cost, False), (0.9 * cost, True)):
+            now = asyncio.get_running_loop().time()
+            budget.late = now + left
             await verb(user)
-            assert budget.left == after
+            assert (budget.late > now + left) == is_refilled
 
 
 # The shortcut.

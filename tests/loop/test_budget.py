@@ -1,10 +1,18 @@
-"""The budget of awaits: who spends it gives way, and nobody else by chance."""
+"""What a turn may take: who spends it gives way, and nobody else by chance."""
 
 from __future__ import annotations
 
 import asyncio
+import time
 
-from esair.loop import SPENDABLE, Budget
+import pytest
+from tests.turn.loops import LOOPS, Make, run
+
+from esair.loop import READ_COST, Budget, Owner, spawn, turn_of
+from esair.loop._budget import LASTS
+from esair.testing import VirtualLoop
+
+SPENDABLE = round(LASTS / READ_COST)
 
 
 def test_a_task_that_is_new_is_not_mistaken_for_one_that_has_ended() -> None:
@@ -31,10 +39,10 @@ def test_a_task_that_is_new_is_not_mistaken_for_one_that_has_ended() -> None:
             await asyncio.sleep(0)
         assert gave_way == [False] * 20
 
-    asyncio.run(main())
+    run(VirtualLoop, main())
 
 
-def test_who_finds_it_spent_twice_gives_way() -> None:
+def test_who_finds_it_spent_twice_gives_way_where_time_stands_still() -> None:
     """The second time in a row it was the task itself."""
 
     async def main() -> None:
@@ -46,11 +54,13 @@ def test_who_finds_it_spent_twice_gives_way() -> None:
         await budget.give_way()
         assert ran
 
-    asyncio.run(main())
+    run(VirtualLoop, main())
 
 
-def test_a_task_alone_gives_way_by_twice_the_budget() -> None:
-    """Not at each spent budget: a turn of the loop costs more than ten reads."""
+@pytest.mark.promise("TURN-4")
+@pytest.mark.parametrize("make", LOOPS.values(), ids=LOOPS)
+def test_a_task_alone_gives_way_each_few_awaits(make: Make) -> None:
+    """Not at each: a turn of the loop costs more than ten reads."""
 
     async def main() -> int:
         loop, turns, over = asyncio.get_running_loop(), 0, False
@@ -67,4 +77,40 @@ def test_a_task_alone_gives_way_by_twice_the_budget() -> None:
         over = True
         return turns
 
-    assert 8 <= asyncio.run(main()) <= 12
+    assert 9 <= run(make, main()) <= 6 * SPENDABLE
+
+
+@pytest.mark.promise("TURN-4", "TURN-7")
+@pytest.mark.real_clock
+@pytest.mark.parametrize("make", LOOPS.values(), ids=LOOPS)
+def test_who_computes_gives_way_at_its_next_await(make: Make) -> None:
+    """What is due meanwhile comes between two stretches without an await."""
+
+    async def main() -> list[int]:
+        loop, passes = asyncio.get_running_loop(), 0
+        if turn_of(loop).virtual:
+            pytest.skip("time passes only when nothing is left to be done")
+
+        def count() -> None:
+            nonlocal passes
+            passes += 1
+            loop.call_soon(count)
+
+        loop.call_soon(count)
+        between: list[int] = []
+        for _ in range(20):
+            before = passes
+            end = time.monotonic() + 2 * LASTS
+            while time.monotonic() < end:
+                pass
+            await Budget.spend()
+            between.append(passes - before)
+        return between
+
+    async def owned() -> list[int]:
+        return await spawn(
+            asyncio.get_running_loop(), main(), name="owned", owner=Owner()
+        )
+
+    first, *others = run(make, owned())
+    assert all(others), (first, others)

@@ -242,10 +242,10 @@ async def test_a_thread_halts_although_the_loop_is_stuck(fake_actuator: Any) -> 
         thread = threading.Timer(0.05, robot.halt, ["stuck"])
         thread.start()
         time.sleep(0.3)  # noqa: ASYNC251 - the loop is stuck, that is the point
+        before = len(wheels.commands)
         refused = await drive.wheels.write(2.0)
         assert (refused.holder, refused.rule) == ("halt", "stuck")
         time.sleep(0.3)  # noqa: ASYNC251
-        before = len(wheels.commands)
         drive.answers.clear()
         await asyncio.sleep(0.1)
         thread.join()

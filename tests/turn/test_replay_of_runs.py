@@ -168,6 +168,77 @@ def test_a_sleep_of_the_computer_is_repeated(
     assert play(TurnLoop(player=Player(kept)), kept, lambda: None) == live
 
 
+class Plans(esair.Behavior):
+    """Computes for a while between what it reads and what it does, not in a replay."""
+
+    sonar = esair.reads(float)
+    motor = esair.writes(float)
+    computes: Callable[[float], object]
+
+    async def run(self) -> None:
+        while True:
+            seen = await self.sonar.read()
+            type(self).computes(esair.random.uniform(0.0, 0.012))
+            await self.motor.write(seen + esair.random.random())
+            await self.put("thinks", seen)
+
+
+class Thinks(esair.Behavior):
+    """Is told what was seen, and computes too."""
+
+    motor = esair.writes(float)
+
+    async def run(self) -> None:
+        while True:
+            seen = await self.receive()
+            Plans.computes(esair.random.uniform(0.0, 0.008))
+            await self.motor.write(-seen - esair.random.random())
+
+
+@pytest.mark.promise("TURN-4", "TURN-6")
+def test_who_gave_way_because_it_computed_does_so_again() -> None:
+    """However long its computation takes in the replay: it has no clock of its own."""
+
+    def play(loop: TurnLoop, tape: list[Any]) -> list[Any]:
+        events: list[Any] = []
+        sonar, motor = FakeSensor("sonar", 1.0), FakeActuator("motor", safe=0.0)
+        Plans.computes = await_nothing if loop.player is None else float
+
+        async def main() -> None:
+            behaviors = [Plans(), Thinks()]
+            robot = esair.Robot(resources=[sonar, motor], behaviors=behaviors, seed=7)
+            robot.journal.listen(events.append)
+            if loop.player is None:
+                loop.keep(TapeWriter(tape.append))
+            else:
+                loop.play()
+            async with robot:
+                for value in range(20):
+                    sonar.feed(float(value))
+                    await asyncio.sleep(0.02)
+            loop.keep(None)
+
+        with asyncio.Runner(loop_factory=lambda: loop) as runner:
+            runner.run(main())
+        moments = [each for each in tape if type(each) is float]
+        turns = {moment: turn for turn, moment in enumerate(moments)}
+        kinds = {Kind.READING, Kind.COMMAND, Kind.SENT, Kind.SAFE, Kind.PUT}
+        return [
+            (turns.get(each.time), each.kind, each.component, repr(each.value)[:60])
+            for each in events
+            if each.kind in kinds
+        ]
+
+    tape: list[Any] = []
+    live = play(TurnLoop(), tape)
+    kept = pickle.loads(pickle.dumps(tape))
+
+    assert (
+        sum(each[0] == ("turn", "gave way") for each in kept if type(each) is tuple) > 5
+    )
+    assert play(TurnLoop(player=Player(kept)), kept) == live
+
+
 def await_nothing(seconds: float) -> None:
     """Keep the loop busy."""
     end = time.monotonic() + seconds

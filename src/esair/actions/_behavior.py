@@ -259,8 +259,8 @@ class Behavior(ProfiledAction):
         """
         mail = self._mail
         budget = mail.budget
-        budget.left -= PUT_COST
-        if budget.left < 0:
+        budget.late -= PUT_COST
+        if budget.clock() > budget.late:
             await budget.give_way()
         if not mail.hand(receiver, data, interval):
             await mail.put(receiver, data, interval)
@@ -288,8 +288,8 @@ class Behavior(ProfiledAction):
         """
         mail = self._mail
         budget = mail.budget
-        budget.left -= PUT_COST
-        if budget.left < 0:
+        budget.late -= PUT_COST
+        if budget.clock() > budget.late:
             await budget.give_way()
         data = mail.take(sender, interval)
         if data is NOTHING:
@@ -550,8 +550,8 @@ class Behavior(ProfiledAction):
     async def _take(self, timeout: float | None) -> tuple[str, Any]:
         mail = self._mail
         budget = mail.budget
-        budget.left -= PUT_COST
-        if budget.left < 0:
+        budget.late -= PUT_COST
+        if budget.clock() > budget.late:
             await budget.give_way()
         if timeout is not None:
             check_duration(self.name, "timeout", timeout)

@@ -24,7 +24,14 @@ from esair.exceptions import (
     UnknownNameError,
     WrongLoopError,
 )
-from esair.loop import WRITE_COST, Budget, current_owner, fail, speaks_for_nobody
+from esair.loop import (
+    READ_COST,
+    WRITE_COST,
+    Budget,
+    current_owner,
+    fail,
+    speaks_for_nobody,
+)
 from esair.messages import Answer, Reading, Refused, ResourceState, Why, Written
 from esair.resources import Operation
 from esair.values import check_duration
@@ -199,8 +206,8 @@ class SensorPort(Port[T]):
                 than the robot's.
         """
         budget = self._budget
-        budget.left -= 1
-        if budget.left < 0:
+        budget.late -= READ_COST
+        if budget.clock() > budget.late:
             await budget.give_way()
         if not fresh and max_age is None and timeout is None:
             # Most reads end here: the newest reading is good enough.
@@ -227,8 +234,8 @@ class SensorPort(Port[T]):
         """Return what `read` does, with its time and sequence number."""
         self._check_loop()
         budget = self._budget
-        budget.left -= 1
-        if budget.left < 0:
+        budget.late -= READ_COST
+        if budget.clock() > budget.late:
             await budget.give_way()
         channel = self._channel
         limit = (
@@ -266,8 +273,8 @@ class SensorPort(Port[T]):
         try:
             while True:
                 reading = await stream.next()
-                self._budget.left -= 1
-                if self._budget.left < 0:
+                self._budget.late -= READ_COST
+                if self._budget.clock() > self._budget.late:
                     await self._budget.give_way()
                 yield reading.value
         finally:
@@ -374,8 +381,8 @@ class ActuatorPort(Port[T]):
         if get_ident() != self._home:  # hot
             self._check_loop()
         budget = self._budget
-        budget.left -= WRITE_COST
-        if budget.left < 0:
+        budget.late -= WRITE_COST
+        if budget.clock() > budget.late:
             await budget.give_way()
         if hold is not None:
             check_duration(self.resource, "hold", hold)

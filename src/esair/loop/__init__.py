@@ -8,10 +8,12 @@ from the times of its turns and from what came in, which a tape keeps (`_tape`);
 the same on the loop of `esair.run`, the virtual clock, plain asyncio and uvloop.
 
 The rest is what components run on: the first steps of driver calls (`_light_task`), threads
-for blocking code (`_threads`), who owns a task, with a budget of awaits and seeded randomness
-(`_ownership`), garbage collected in gaps, signals, and the end of a loop (`_overseer`).
+for blocking code (`_threads`), who owns a task, with seeded randomness (`_ownership`), what a
+turn may take (`_budget`), garbage collected in gaps, signals, and the end of a loop
+(`_overseer`).
 """
 
+from esair.loop._budget import PUT_COST, READ_COST, VERB_COST, WRITE_COST, Budget
 from esair.loop._deadlines import Deadline, Deadlines, DeadMan
 from esair.loop._door import Arrivals, Door, News, arrive, ask_outside, outside
 from esair.loop._every import every
@@ -42,11 +44,6 @@ from esair.loop._overseer import (
     threads_that_keep_the_process,
 )
 from esair.loop._ownership import (
-    PUT_COST,
-    SPENDABLE,
-    VERB_COST,
-    WRITE_COST,
-    Budget,
     ComponentRandom,
     OwnedTasks,
     Owner,
@@ -98,8 +95,8 @@ __all__ = [
     "PRIORITY",
     "PUT_COST",
     "REACHED",
+    "READ_COST",
     "SECOND",
-    "SPENDABLE",
     "SPOILED",
     "VERB_COST",
     "WAITS",

@@ -7,9 +7,10 @@ import time
 from collections.abc import AsyncIterator, Iterator
 
 from esair.exceptions import ConfigError
+from esair.loop._budget import Budget
 from esair.loop._light_task import wake
 from esair.loop._of_loop import clock_of
-from esair.loop._ownership import Budget, is_outside
+from esair.loop._ownership import is_outside
 from esair.loop._scheduler import Scheduler
 from esair.loop._threads import portal
 from esair.values import check_duration

@@ -234,6 +234,10 @@ class Player:
             return number, First(error=_lost(tag))
         return number, WAITS
 
+    def has_first(self, tag: Tag) -> bool:
+        """Tell whether something of a tag is on the tape until the following turn."""
+        return bool(self._firsts.get(tag))
+
     def expect(self, tag: Tag, number: int, end: Callable[[Any], object]) -> None:
         """Call a function with the end of a call, as (value, error), when it comes."""
         self._ends[tag, number] = end

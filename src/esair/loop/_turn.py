@@ -30,6 +30,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from esair.loop._budget import LASTS, Budget
 from esair.loop._deadlines import Deadlines
 from esair.loop._door import Door
 from esair.loop._light_task import ignore, raisable, settle
@@ -72,8 +73,6 @@ class Turn(OfLoop):
         """Lets time pass in a thread, in seconds."""
         self.player: Player | None = None
         """What repeats a run on this loop, sooner or later."""
-        self.repeats = False
-        """Whether a run of this loop can be repeated from a tape."""
         self.virtual = False
         """Whether time passes only when nothing is left to be done."""
         self.keep: Callable[[TapeWriter | None], object] = ignore
@@ -93,11 +92,13 @@ class Turn(OfLoop):
         self._take_over(loop)
         Turn.settle(loop, self)
         self.door: Door = Door(self)
+        self.budget: Budget = Budget(self)
         self.robot: Scheduler = Scheduler(self)
         self.outside: Scheduler = Scheduler(self)
         self.deadlines: Deadlines = Deadlines(self, self.robot)
         self.deadlines_outside: Deadlines = Deadlines(self, self.outside)
         Door.settle(loop, self.door)
+        Budget.settle(loop, self.budget)
         Scheduler.settle(loop, self.robot)
         Deadlines.settle(loop, self.deadlines)
         # In this order they look.
@@ -109,6 +110,11 @@ class Turn(OfLoop):
     def _take_over(self, loop: Any) -> None:
         self.time = self.clock = _clock_of_stranger(loop)
         self.listen, self.forget = loop.add_reader, loop.remove_reader
+
+    @property
+    def repeats(self) -> bool:
+        """Whether a run of this loop can be repeated from a tape."""
+        return False
 
     def want(self, due: float) -> None:
         """Have the steppers look at a moment, in ns; called in the loop."""
@@ -122,6 +128,7 @@ class Turn(OfLoop):
 
     def border(self, now: float) -> None:
         """Let what came in take effect, and have those look who are due."""
+        self.budget.late = now + LASTS
         door = self.door
         if door.entries or door.wakes:  # hot
             door.take()
@@ -144,6 +151,20 @@ class Turn(OfLoop):
         if self.door.has_news:
             return 0.0
         return min(each.gap() for each in self._steppers)
+
+    def has_lasted(self) -> bool:
+        """Tell whether this turn has begun as long ago as its budget says.
+
+        Such a loop does not say when a pass begins: it counts from the first who asks.
+        """
+        return self.budget.is_counted or self.count()
+
+    def count(self) -> bool:
+        """Count what this turn takes from now on; it has not lasted long."""
+        self.budget.late = self.clock() + LASTS
+        self.budget.is_counted = True
+        self.loop.call_soon(setattr, self.budget, "is_counted", False)
+        return False
 
     def ring(self) -> None:
         """Have the loop come to the border, from any thread.
@@ -193,9 +214,19 @@ class OwnTurn(Turn):
         self.wait_in_thread = loop.wait_in_thread
         self.player, self.virtual = loop.player, loop.virtual
         self.early = 0 if loop.virtual else EARLY
-        self.repeats = not loop.virtual
         self.keep, self.play = loop.keep, loop.play
         self.listen, self.forget = loop.listen, loop.forget
+
+    @property
+    def repeats(self) -> bool:
+        return not self.virtual
+
+    def has_lasted(self) -> bool:
+        return not self.virtual or self.budget.is_of_one()
+
+    def count(self) -> bool:
+        """Count what this turn takes: it does so from its border on."""
+        return False
 
     def want(self, due: float) -> None:
         """Have the steppers look at a moment, in ns: the selector does."""
@@ -285,6 +316,7 @@ class TurnLoop(asyncio.SelectorEventLoop):
         self._tape = self._turn.door.tape = tape
         if tape is not None:
             self._turn.number = 0
+            self._turn.budget.keep()
             tape.turn(self._now)
 
     def play(self) -> None:
@@ -295,6 +327,7 @@ class TurnLoop(asyncio.SelectorEventLoop):
         self._turn.number = 0
         self._now = player.began
         self._turn.door.tape = player
+        self._turn.budget.play()
         player.begin(self._turn.door)
 
     def time(self) -> float:
