@@ -46,6 +46,7 @@ from esair.loop import (
     waits_in_line,
     wake,
 )
+from esair.messages import Stamped
 from esair.resources import Resource
 
 OPERATE = "operate"
@@ -54,6 +55,9 @@ OPERATE = "operate"
 _GONE = frozenset(
     {errno.ENODEV, errno.ENOENT, errno.ENOTCONN, errno.ESHUTDOWN, errno.EBADF}
 )
+
+HELD_UP = 0.005
+"""How old what a thread brings is if the loop was held up meanwhile, in seconds."""
 
 Guard = Callable[[], bool]
 
@@ -159,6 +163,13 @@ class Driver:
 
 def _nothing() -> None:
     """Come after all calls that were made before."""
+
+
+def stamped(value: Any, ended: float | None, now: float) -> Any:
+    """Return what a thread has brought, with its time if it is older than this turn."""
+    if ended is None or now - ended < HELD_UP or type(value) is Stamped:
+        return value
+    return Stamped(value, ended)
 
 
 def is_loss(error: BaseException) -> bool:
@@ -293,7 +304,6 @@ class Calls:
         "_on_late",
         "_on_stuck",
         "_steps",
-        "_time",
         "abandoned",
         "alive",
         "caller",
@@ -304,6 +314,7 @@ class Calls:
         "on_late_open",
         "opening",
         "resource",
+        "time",
     )
 
     def __init__(
@@ -333,7 +344,7 @@ class Calls:
         self.on_late_open: Apply | None = None
         """Told of an opening that has ended after it was given up."""
         self._loop = loop
-        self._time = clock_of(loop)
+        self.time: Callable[[], float] = clock_of(loop)
         self._deadlines = Deadlines.of(loop)
         self._deadline = self._deadlines.idle(self._expire)
         """That of the call whose time is over first."""
@@ -531,7 +542,7 @@ class Calls:
             return
         if call.taped is not None:
             call.taped(end)
-        call.ended = self._time()
+        call.ended = self.time()
         call.engine = None
         if call.outcome is not None:
             self._left.discard(call)
@@ -557,7 +568,7 @@ class Calls:
 
     async def quiet(self, until: float) -> None:
         """Wait until no call is alive, or until a moment."""
-        while self.alive and self._time() + REACHED < until:
+        while self.alive and self.time() + REACHED < until:
             await self.next_end(until)
 
     async def next_end(self, until: float) -> None:
@@ -567,7 +578,7 @@ class Calls:
         for call in calls:
             call.waiters.append(waiter)
         try:
-            await self._deadlines.pulse(waiter, until - self._time())
+            await self._deadlines.pulse(waiter, until - self.time())
         finally:
             for call in calls:
                 if waiter in call.waiters:
@@ -577,7 +588,7 @@ class Calls:
 
     def _track(self, kind: str, args: tuple[Any, ...], limit: float | None) -> Call:
         number = self.number = self.number + 1
-        call = Call(self.resource, kind, self.opening, number, args, self._time())
+        call = Call(self.resource, kind, self.opening, number, args, self.time())
         self.alive[number] = call
         if limit is not None:
             call.until, call.limit = call.begun + limit, limit
@@ -590,7 +601,7 @@ class Calls:
             self._deadline.cancel()
 
     def _expire(self) -> None:
-        now = self._time()
+        now = self.time()
         for call in tuple(self.alive.values()):
             if call.outcome is not None:
                 continue
@@ -664,6 +675,7 @@ class ThreadedCall:
         self._wanted = True
         self._rest: LightTask | None = None
         self.begun: float | None = None
+        self.ended: float | None = None
 
     def submit(self, loop: asyncio.AbstractEventLoop) -> None:
         args, guard = self._call.args, self._may_begin
@@ -692,6 +704,8 @@ class ThreadedCall:
 
     def set_result(self, result: Any, /) -> None:
         if not hasattr(result, "__await__"):
+            if self._call.kind == "read":
+                result = stamped(result, self.ended, self._calls.time())
             self._calls.ended(self._call, End(result, None))
             return
         rest = self._rest = LightTask(asyncio.get_running_loop(), str(self._call))

@@ -14,12 +14,13 @@ from collections.abc import (
 )
 from typing import TYPE_CHECKING, Any
 
-from esair.connections._calls import Call, Calls, End, Method
+from esair.connections._calls import Call, Calls, End, Method, stamped
 from esair.exceptions import BusyError, DeviceLostError, EsairError
 from esair.loop import (
     REACHED,
     Deadlines,
     Door,
+    InLine,
     Job,
     Order,
     Scheduler,
@@ -409,12 +410,15 @@ class Listening:
         # A thread of its own: waiting for the next value must not block the bus.
         executor = await self._device.driver.stream_executor()
         end = object()
-        while (
-            value := await executor.call(next, values, end, timeout=math.inf)
-        ) is not end:
+        loop = asyncio.get_running_loop()
+        while True:
+            coming: InLine[Any] = InLine(loop=loop)
+            executor.submit(loop, coming, next, values, end, outside=True)
+            if (value := await coming) is end:
+                return True
+            value = stamped(value, coming.ended, self._device.time())
             if not self._heard(value, calls, opening):
                 return False
-        return True
 
     def _heard(self, value: Any, calls: Calls, opening: int) -> bool:
         """Bring in what the device has pushed, unless its opening is over."""

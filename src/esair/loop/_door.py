@@ -121,7 +121,8 @@ class Door(OfTurn):
         self._arrivals = Arrivals.of(turn.loop)
         self.player: Player | None = turn.player
         """What repeats a run on this loop, sooner or later."""
-        self._holds = turn.virtual
+        self.holds: bool = turn.virtual
+        """Whether time waits for threads."""
         self.tape: TapeWriter | Player | None = None
         """What keeps or gives what comes in, where a run can be repeated."""
         self.divert: Callable[[Entry], object] | None = None
@@ -129,7 +130,7 @@ class Door(OfTurn):
         self._lock = threading.Lock()
         self.entries: collections.deque[Entry] = collections.deque()
         self._brought: collections.deque[Entry] = (
-            collections.deque() if self._holds else self.entries
+            collections.deque() if self.holds else self.entries
         )
         """What threads have brought: where work is held it has to ripen."""
         self._held: collections.deque[tuple[int, Callable[[int], None], object]] = (
@@ -149,7 +150,7 @@ class Door(OfTurn):
     @property
     def has_news(self) -> bool:
         """Whether something is to be taken at the next border."""
-        return bool(self.entries) or (self.wakes and not self._holds)
+        return bool(self.entries) or (self.wakes and not self.holds)
 
     @property
     def held(self) -> bool:
@@ -165,7 +166,7 @@ class Door(OfTurn):
     ) -> None:
         """Let a thread begin with a work; its end comes back by `post`."""
         work = next(self._works)
-        if self._holds:
+        if self.holds:
             if outside:
                 self._outside.add(lane)
             self._held.append((work, begin, lane))
@@ -289,7 +290,7 @@ class Door(OfTurn):
 
     def take(self) -> None:
         """Let what has come in take effect; called at the border if there is any."""
-        if not self._holds:
+        if not self.holds:
             # Before the look: what comes later wakes the loop again.
             self.wakes = False
         entries = self.entries

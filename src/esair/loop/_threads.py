@@ -129,6 +129,7 @@ class InLine(asyncio.Future[T]):
 
     begun: float | None = None
     """When its turn came, on the loop's clock; None while it waits for that."""
+    ended: float | None = None
 
 
 def waits_in_line(engine: object, seconds: float = math.inf) -> bool:
@@ -150,6 +151,8 @@ class Outcome(Protocol):
     """Gets what a function has returned or raised, in the loop; a future is one."""
 
     begun: float | None
+    ended: float | None
+    """When the function returned, in its thread; None where time waits for threads."""
 
     def done(self) -> bool:
         """Whether nobody wants it any more."""
@@ -360,6 +363,9 @@ class Results:
         self.door: Door = Door.of(loop)
         self.loop = loop
         self.time: Callable[[], float] = clock_of(loop)
+        self.clock: Callable[[], float | None] = clock_beside(loop)
+        if self.door.holds:
+            self.clock = lambda: None
         self.waits: dict[InLine[Any], Wait] = {}
         """The calls that wait for their results."""
         self.deadline: Deadline = Deadlines.beside(loop).idle(self._expire)
@@ -429,6 +435,7 @@ def _work(calls: queue.SimpleQueue[Call | None], results: Results) -> None:
             else:
                 call.future.begun = results.time()
                 result = call.function(*call.args)
+                call.future.ended = results.clock()
         except BaseException as raised:  # a driver may raise anything
             error = raised
         results.add(call, result, error)
