@@ -8,6 +8,7 @@ import pytest
 
 import esair
 from esair.buses import I2CBus, SerialBus
+from esair.buses.i2c import Registers
 from esair.exceptions import DriverStuckError, NoTurnError
 from esair.messages import ResourceState
 from esair.plan import examine
@@ -203,3 +204,124 @@ async def test_silence_is_told_from_having_no_turn() -> None:
         await silent
     assert not isinstance(stuck.value, NoTurnError)
     await line.close()
+
+
+class Heater(esair.Actuator[float]):
+    """An output of a chip: one transfer turns it."""
+
+    safe = 0.0
+    bus: I2CBus
+
+    async def write(self, command: float) -> None:
+        """Write it."""
+        await self.bus.write(0x70, 0, bytes([int(command)]))
+
+
+class Kettle(esair.Actuator[float]):
+    """An output of a unit on a line: it answers."""
+
+    safe = 0.0
+    bus: SerialBus
+
+    async def write(self, command: float) -> None:
+        """Tell it."""
+        await self.bus.ask(b"kettle=%d" % command, prefix=b"kettle")
+
+
+class Cook(esair.Behavior):
+    """Heats."""
+
+    async def run(self) -> None:
+        """Write for ever."""
+        async for _ in esair.every(0.05):
+            await self.output.write(9.0)
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("BUS-5")
+@pytest.mark.promise("ROB-4")
+async def test_safe_has_the_next_turn_on_its_chips() -> None:
+    """Polls that wait for a turn come after it, and after the write that it waits for."""
+    stove = Registers()
+    chips = {0x70: stove, **{0x10 + n: Registers(bytes([n])) for n in range(32)}}
+    bus = FakeI2c(chips=chips, name="chips")
+    polled = [
+        Chip(name=name, address=0x10 + n, bus=bus) for n, name in enumerate(NAMES)
+    ]
+    watcher = Watcher(reads={name: esair.reads(int) for name in NAMES}, writes={})
+    cook = Cook(writes={"output": esair.writes(float)})
+    heater = Heater(name="output", bus=bus)
+
+    async with esair.Robot(
+        resources=[heater, *polled], behaviors=[watcher, cook]
+    ) as robot:
+        await asyncio.sleep(0.9)
+        bus.stretch(0.04)
+        await asyncio.sleep(0.1)
+        assert stove.content[0] == 9
+        robot.halt("a look")
+        await asyncio.sleep(0.085)
+        assert stove.content[0] == 0
+        assert robot.resources.query("output").losses == 0
+        assert robot.behaviors.query("cook").restarts == 0
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("BUS-5")
+@pytest.mark.promise("ROB-4")
+async def test_safe_has_the_next_turn_on_its_line() -> None:
+    """Nor do requests that wait for their turn keep it."""
+    line, told, delay = FakeSerial("line"), [b""], [0.0]
+    loop = asyncio.get_running_loop()
+
+    def hear(asked: bytes) -> None:
+        if asked.startswith(b"kettle"):
+            told[0] = asked
+        loop.call_later(delay[0], line.say, asked[:-1] + b"7")
+
+    line.on_frame = hear
+    units = [Unit(name=name, bus=line) for name in NAMES]
+    watcher = Watcher(reads={name: esair.reads(int) for name in NAMES}, writes={})
+    cook = Cook(writes={"output": esair.writes(float)})
+    kettle = Kettle(name="output", bus=line)
+
+    async with esair.Robot(
+        resources=[kettle, *units], behaviors=[watcher, cook]
+    ) as robot:
+        await asyncio.sleep(0.9)
+        delay[0] = 0.04
+        await asyncio.sleep(0.1)
+        assert told[0] == b"kettle=9"
+        robot.halt("a look")
+        await asyncio.sleep(0.085)
+        assert told[0] == b"kettle=0"
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("BUS-5")
+async def test_who_gets_no_turn_to_be_safe_is_late(caplog) -> None:
+    """A bus that is held up for ten seconds loses no actuator; then safe is told at once."""
+    stove = Registers()
+    bus = FakeI2c(chips={0x10: Registers(), 0x70: stove}, name="chips")
+    chip = Chip(name="chip", address=0x10, bus=bus)
+    user = esair.Behavior(name="user", reads={"chip": esair.reads(int)}, writes={})
+    cook = Cook(writes={"output": esair.writes(float)})
+    heater = Heater(name="output", bus=bus)
+    heater.command_timeout = 2.0
+
+    async with esair.Robot(resources=[heater, chip], behaviors=[cook, user]) as robot:
+        await asyncio.sleep(0.12)
+        bus.stall()
+        with pytest.raises(DriverStuckError):
+            await user.chip.read(fresh=True)
+        robot.halt("a look")
+        await asyncio.sleep(10.0)
+        assert stove.content[0] == 9
+        assert robot.resources.query("output").state is ResourceState.READY
+        assert robot.journal.counts()["output"]["no_turns"] > 0
+        bus.resume()
+        await asyncio.sleep(0.15)
+        assert stove.content[0] == 0
+
+    assert "UNSAFE" not in caplog.text
+    assert "output: still not told to be safe" in caplog.text

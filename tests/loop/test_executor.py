@@ -10,7 +10,7 @@ import time
 import pytest
 
 from esair.exceptions import BusyError, DriverStuckError
-from esair.loop import Executor, turn_of
+from esair.loop import SAFE, Executor, InLine, Urgency, turn_of
 
 pytestmark = pytest.mark.real_clock
 
@@ -42,6 +42,32 @@ async def test_calls_run_in_order_on_one_thread() -> None:
     assert results == order == list(range(100))
     assert threads == {"esair-bus"}
     assert not executor.is_current
+    executor.close()
+
+
+@pytest.mark.promise("BUS-5")
+async def test_the_most_urgent_call_has_the_next_turn() -> None:
+    """Also if it became so while it waited, and if as many wait as may."""
+    executor, order = Executor("bus", limit=8), []
+    go, later = threading.Event(), Urgency()
+    loop = asyncio.get_running_loop()
+
+    def submit(what: str, urgent: Urgency) -> asyncio.Future[None]:
+        future: InLine[None] = InLine(loop=loop)
+        executor.submit(loop, future, order.append, what, urgent=urgent)
+        return future
+
+    executor.submit(loop, InLine(loop=loop), go.wait)
+    calls = [submit(f"poll {n}", Urgency()) for n in range(6)]
+    calls.append(submit("write", later))
+    with pytest.raises(BusyError):
+        calls.extend(submit("poll", Urgency()) for _ in range(3))
+    with later.raised(SAFE):
+        calls.append(submit("safe", later))
+        go.set()
+        await asyncio.gather(*calls)
+
+    assert order[:3] == ["write", "safe", "poll 0"]
     executor.close()
 
 

@@ -10,7 +10,17 @@ from typing import Self
 from esair.buses._bus import TURN_LIMIT, Bus
 from esair.buses._inbox import within
 from esair.exceptions import BusyError, DeviceLostError, DriverStuckError, NoTurnError
-from esair.loop import Deadline, Deadlines, InLine, arrive, fail, had_turn
+from esair.loop import (
+    Deadline,
+    Deadlines,
+    InLine,
+    Urgency,
+    arrive,
+    by_urgency,
+    fail,
+    had_turn,
+    urgency,
+)
 
 LATE_LIMIT = 0.4
 """How long after it was due an answer may still come, in seconds."""
@@ -50,7 +60,8 @@ class Exchanges:
         self.now: Exchange | None = None
         """The one that was sent and waits for its answer."""
         self._line: list[Exchange] = []
-        """Who waits for the turn, in the order in which they asked."""
+        """Who waits for the turn, in the order in which they asked; who is more urgent
+        is before the others: an actuator that is made safe, then one that is opened."""
         self.unanswered: dict[Exchange, Deadline | None] = {}
         """Whose answers may still come, the oldest first, and until when; None if the
         bus was lost, and nobody has asked since."""
@@ -164,7 +175,7 @@ class Exchanges:
         if self.now is None and not self.is_owed_to(exchange):
             self.now = exchange
             return
-        if len(self._line) >= self._limit:
+        if len(self._line) >= self._limit and not exchange.urgency.level:
             self.bus.stats.refused += 1
             raise BusyError(f"bus {self.bus.name}", "number of requests", self._limit)
         self._line.append(exchange)
@@ -224,7 +235,7 @@ class Exchanges:
     def _let_leave(self) -> None:
         """Give the turn to the first whose answer can be taken for none that is owed."""
         if self.now is None:
-            for exchange in self._line:
+            for exchange in sorted(self._line, key=by_urgency):
                 if not self.is_owed_to(exchange):
                     self._line.remove(exchange)
                     self.now = exchange
@@ -266,6 +277,7 @@ class Exchange:
         self._seconds = seconds
         self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
         self.until: float = self.loop.time() + seconds
+        self.urgency: Urgency = urgency.get()
 
     @property
     def left(self) -> float:

@@ -40,6 +40,7 @@ from esair.loop import (
     LightTask,
     Player,
     TapeWriter,
+    Urgency,
     clock_of,
     current_task_of,
     current_tasks,
@@ -97,6 +98,8 @@ class Driver:
         self.resource = resource
         self.uses_threads: bool = resource.bus is not None
         """Whether a thread may have had any of its calls."""
+        self.urgency: Urgency = Urgency()
+        """How urgent is what it waits for on its bus."""
         self._own_executor: Executor | None = None
         self._stream_executor: Executor | None = None
 
@@ -233,6 +236,7 @@ class Call:
     outcome: End | None = None
     """What its caller was told; None while nobody was told anything."""
     cancelled: bool = False  # its caller has gone; what it still does is nobody's fault
+    withdrawn: bool = False  # before its turn on the bus came: then it is refused
     owner: object = None  # the right by which it was begun, if it needs one
     engine: LightTask | ThreadedCall | None = None
     until: float = math.inf  # when its time is over, on the loop's clock
@@ -254,6 +258,12 @@ class Call:
         """Ask the driver to end it; a thread cannot be asked."""
         self.cancelled = True
         if self.engine is not None:
+            self.engine.cancel()
+
+    def withdraw(self) -> None:
+        """Have it refused if it still waits for a turn, which another can have."""
+        if self.engine is not None and waits_in_line(self.engine):
+            self.withdrawn = True
             self.engine.cancel()
 
     def wake(self) -> None:
@@ -353,7 +363,7 @@ class Calls:
         self._on_stuck = on_stuck
         self._left = left
         self._steps = FirstSteps.of(loop)
-        self.caller: Caller = Caller(f"{self.resource} driver")
+        self.caller: Caller = Caller(f"{self.resource} driver", driver.urgency)
         """What the driver's first steps run in, so that it belongs to nobody."""
 
     def begin(
@@ -540,6 +550,8 @@ class Calls:
         """
         if self.alive.pop(call.number, None) is None:
             return
+        if call.withdrawn and isinstance(end.error, asyncio.CancelledError):
+            end = End(None, CallRefused())
         if call.taped is not None:
             call.taped(end)
         call.ended = self.time()
@@ -679,7 +691,10 @@ class ThreadedCall:
 
     def submit(self, loop: asyncio.AbstractEventLoop) -> None:
         args, guard = self._call.args, self._may_begin
-        self.executor.submit(loop, self, self._function, *args, guard=guard)
+        urgent = self._calls.driver.urgency
+        self.executor.submit(
+            loop, self, self._function, *args, guard=guard, urgent=urgent
+        )
 
     def _may_begin(self) -> bool:
         if self._calls.lost is not None and self._call.kind != "close":
@@ -708,7 +723,9 @@ class ThreadedCall:
                 result = stamped(result, self.ended, self._calls.time())
             self._calls.ended(self._call, End(result, None))
             return
-        rest = self._rest = LightTask(asyncio.get_running_loop(), str(self._call))
+        rest = self._rest = LightTask(
+            asyncio.get_running_loop(), str(self._call), self._calls.caller.fresh()
+        )
         try:
             value = rest.begin(_awaited(result))
         except BaseException as error:  # contained: it is the driver's

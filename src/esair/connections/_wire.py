@@ -21,11 +21,12 @@ from esair.exceptions import (
     DeviceLostError,
     DriverStuckError,
     EsairError,
+    NoTurnError,
     describe,
 )
 from esair.flaws import unsound
 from esair.journal import Kind
-from esair.loop import REACHED, Deadlines, spawn, wake
+from esair.loop import REACHED, SAFE, Deadlines, spawn, wake
 from esair.messages import Refused, ResourceState, Written
 from esair.resources import HOLD, Actuator
 
@@ -457,15 +458,18 @@ class SafeCommand:
     async def _send(self) -> bool:
         device, wire = self._device, self._wire
         try:
-            until = device.time() + self.turn_within
-            while wire.lane is not None and device.time() + REACHED < until:
-                await device.calls.next_end(until)
-            while True:
-                self.state = ON_ITS_WAY
-                took = await self._try()
-                # It may have been asked for once more meanwhile.
-                if not took or self.state is ON_ITS_WAY:
-                    return took
+            with device.driver.urgency.raised(SAFE):
+                until = device.time() + self.turn_within
+                if wire.lane is not None and wire.lane.kind == "write":
+                    wire.lane.withdraw()
+                while wire.lane is not None and device.time() + REACHED < until:
+                    await device.calls.next_end(until)
+                while True:
+                    self.state = ON_ITS_WAY
+                    took = await self._try()
+                    # It may have been asked for once more meanwhile.
+                    if not took or self.state is ON_ITS_WAY:
+                        return took
         finally:
             me = asyncio.current_task()
             if me is not None:
@@ -480,7 +484,8 @@ class SafeCommand:
     async def _try(self) -> bool:
         device, wire = self._device, self._wire
         error: EsairError | None = None
-        for attempt in range(SAFE_TRIES):
+        tries = turns = 0
+        while tries < SAFE_TRIES:
             if device.state is not ResourceState.READY:
                 lost = device.error or DeviceLostError(device.name)
                 wire.told.error = describe(lost)
@@ -493,7 +498,13 @@ class SafeCommand:
                     error = wire.failed(raised, "safe")
             else:
                 return True
-            await asyncio.sleep(0.01 * attempt)
+            if type(error) is NoTurnError:  # it was not asked: that is no answer
+                turns += 1
+                if turns == SAFE_TRIES:
+                    _log.error("%s: still not told to be safe: %s", device.name, error)
+            else:
+                tries += 1
+            await asyncio.sleep(0.01 * min(tries + turns - 1, 10))
         ready = device.state is ResourceState.READY
         if ready or isinstance(error, DriverStuckError):
             safe = wire.actuator.safe
@@ -562,7 +573,8 @@ class SafeCommand:
         """Send it to a device that is to be closed: it may move still."""
         told = self._wire.told
         if not (told.command is None or told.command is HOLD or told.is_safe):
-            with contextlib.suppress(Exception):  # it may be gone, or not obey
+            urgent = self._device.driver.urgency.raised(SAFE)
+            with urgent, contextlib.suppress(Exception):  # it may be gone, or not obey
                 await self._tell(self.turn_within)
 
     async def at_last(self, within: float) -> None:

@@ -8,6 +8,7 @@ loop. What waits after all is gone on with by the very future that it waits for.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import contextvars
 import enum
 import sys
@@ -17,7 +18,7 @@ from asyncio.tasks import (
     _enter_task,  # noqa: PLC2701 - documented, for third-party tasks
     _leave_task,  # noqa: PLC2701 - documented, for third-party tasks
 )
-from collections.abc import Callable, Coroutine, Generator, Iterable
+from collections.abc import Callable, Coroutine, Generator, Iterable, Iterator
 from typing import Any, Final
 
 from esair.exceptions import describe
@@ -133,6 +134,42 @@ def _run_all(light: LightTask) -> Generator[Any, Any, None]:
         coroutine = yield ENDED
 
 
+SAFE, OPENING = 16, 1
+"""How much more urgent it is to make an actuator safe, and to open one, than the rest."""
+
+
+class Urgency:
+    """How urgent is what one device waits for on its bus: the highest level goes first."""
+
+    __slots__ = ("level",)
+
+    def __init__(self) -> None:
+        self.level: int = 0
+
+    @contextlib.contextmanager
+    def raised(self, by: int) -> Iterator[None]:
+        """Be more urgent meanwhile, also what waits already."""
+        self.level += by
+        try:
+            yield
+        finally:
+            self.level -= by
+
+
+_USUAL = Urgency()
+
+urgency: contextvars.ContextVar[Urgency] = contextvars.ContextVar(
+    "esair_urgency", default=_USUAL
+)
+"""That of the device whose driver runs, with all that it has started."""
+
+
+def by_urgency(waits: Any) -> int:
+    """Sort what waits for a turn: the most urgent first, else in the order in which it came."""
+    level: int = waits.urgency.level
+    return -level
+
+
 class Caller:
     """Whose coroutines a light task runs.
 
@@ -141,11 +178,17 @@ class Caller:
         context: What their first steps run in; one that goes on keeps it.
     """
 
-    __slots__ = ("context", "task_name")
+    __slots__ = ("_own", "context", "task_name")
 
-    def __init__(self, task_name: str) -> None:
+    def __init__(self, task_name: str, urgent: Urgency = _USUAL) -> None:
         self.task_name: str = task_name
-        self.context: contextvars.Context = contextvars.Context()
+        self._own = contextvars.Context()
+        self._own.run(urgency.set, urgent)
+        self.context: contextvars.Context = self.fresh()
+
+    def fresh(self) -> contextvars.Context:
+        """Return a context of nobody's, but that it knows how urgent this is."""
+        return self._own.copy()
 
 
 class LightTask(asyncio.Future[None]):
@@ -176,7 +219,12 @@ class LightTask(asyncio.Future[None]):
         "value",
     )
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, name: str = "") -> None:
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        name: str = "",
+        context: contextvars.Context | None = None,
+    ) -> None:
         super().__init__(loop=loop)
         self._running_on = loop
         self.caller: Caller | None = None
@@ -184,7 +232,7 @@ class LightTask(asyncio.Future[None]):
         self.lined: float = 0.0
         """How long its coroutine has waited for turns on a bus, in seconds."""
         self._name = name
-        self._context: contextvars.Context | None = None
+        self._context: contextvars.Context | None = context
         self._coroutine: Coroutine[Any, Any, Any] | None = None
         self._ended: Callable[[Any, BaseException | None], None] | None = None
         self._runs = runs = _run_all(self)
@@ -220,7 +268,7 @@ class LightTask(asyncio.Future[None]):
         caller = self.caller
         if caller is not None:
             # Its own now; the next first step has another.
-            self._context, caller.context = caller.context, contextvars.Context()
+            self._context, caller.context = caller.context, caller.fresh()
         self._coroutine = coroutine
         self._wait_for(waits_for)
 
@@ -339,7 +387,7 @@ class FirstSteps(OfLoop):
         light = self.spare
         if light.caller is not None:
             # One begins another: each has a task and a context.
-            light = LightTask(self._loop, caller.task_name)
+            light = LightTask(self._loop, caller.task_name, caller.fresh())
             return light if light.begin(coroutine) is WAITS else light.value
         light.caller = caller
         value: Any = WAITS

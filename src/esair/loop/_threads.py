@@ -27,7 +27,15 @@ from esair.exceptions import (
 )
 from esair.loop._deadlines import Deadline, Deadlines
 from esair.loop._door import Door, arrive
-from esair.loop._light_task import LightTask, look_at, raisable, settle
+from esair.loop._light_task import (
+    LightTask,
+    Urgency,
+    by_urgency,
+    look_at,
+    raisable,
+    settle,
+    urgency,
+)
 from esair.loop._of_loop import clock_beside, clock_of, turn_of
 from esair.loop._ownership import Owner, spawn
 from esair.loop._scheduler import REACHED
@@ -172,22 +180,46 @@ class Call:
     args: tuple[Any, ...]
     guard: Callable[[], bool] | None
     future: Outcome
-    jobs: queue.SimpleQueue[Call | None]
-    results: Results
+    urgency: Urgency
     work: int = 0
 
-    def begin(self, work: int) -> None:
-        """Come to the thread."""
-        self.work = work
-        self.jobs.put(self)
-        results = self.results
-        results.held -= 1
-        if results.is_over and not results.held:
-            self.jobs.put(None)
+
+class Line:
+    """The calls that wait for a thread: the most urgent is next, whichever came first."""
+
+    def __init__(self) -> None:
+        self._calls: list[Call] = []
+        self._works: queue.SimpleQueue[int | None] = queue.SimpleQueue()
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self._calls)
+
+    def add(self, call: Call) -> None:
+        """Let a call wait; it is taken once a work was begun for each that waits."""
+        with self._lock:
+            self._calls.append(call)
+
+    def begin(self, work: int | None) -> None:
+        """Let the thread take a call for a work, or end."""
+        self._works.put(work)
+
+    def take(self) -> Call | None:
+        """Wait, in the thread, for the next call; None if it is to end."""
+        work = self._works.get()
+        if work is None:
+            return None
+        with self._lock:
+            call = min(self._calls, key=by_urgency)
+            self._calls.remove(call)
+        call.work = work
+        return call
 
 
 class Executor:
     """One daemon thread; its calls run one after the other, in the order given.
+
+    Those of an actuator that is made safe go first, then of one that is opened.
 
     A call that does not return in time raises `DriverStuckError` for its caller
     and goes on in the thread, because a thread cannot be stopped; what is queued
@@ -203,14 +235,14 @@ class Executor:
         self.name = name
         self.limit = limit
         self.stuck_since: float | None = None
-        self._jobs: queue.SimpleQueue[Call | None] = queue.SimpleQueue()
+        self._line = Line()
         self._results: Results | None = None
         self._thread: threading.Thread | None = None
 
     @property
     def waiting(self) -> int:
         """How many calls wait for the one that runs."""
-        return self._jobs.qsize()
+        return len(self._line)
 
     @property
     def is_current(self) -> bool:
@@ -278,18 +310,18 @@ class Executor:
         guard: Callable[[], bool] | None = None,
         bounded: bool = True,
         outside: bool = False,
+        urgent: Urgency | None = None,
     ) -> None:
         """Have a blocking function called; its outcome comes in the loop, however late."""
-        if bounded and self._jobs.qsize() >= self.limit:
+        urgent = urgent or urgency.get()
+        if bounded and len(self._line) >= self.limit and not urgent.level:
             raise BusyError(
                 f"executor {self.name}", "number of waiting calls", self.limit
             )
-        jobs = self._start(loop)
-        results = self._results
-        assert results is not None
+        results = self._start(loop)
         results.held += 1
-        call = Call(function, args, guard, outcome, jobs, results)
-        results.door.give_out(call.begin, self._thread, outside=outside)
+        results.line.add(Call(function, args, guard, outcome, urgent))
+        results.door.give_out(results.begin, self._thread, outside=outside)
 
     def expired(self) -> None:
         """Take note that a call has not returned within its deadline."""
@@ -301,7 +333,7 @@ class Executor:
         if self._thread is not None and self._results is not None:
             self._results.is_over = True
             if not self._results.held:
-                self._jobs.put(None)
+                self._line.begin(None)
             self._thread = None
 
     async def join(self, timeout: float) -> bool:
@@ -322,15 +354,15 @@ class Executor:
         if results is self._results:
             self.stuck_since = None
 
-    def _start(self, loop: asyncio.AbstractEventLoop) -> queue.SimpleQueue[Call | None]:
-        if self._thread is None:
-            # A thread that was told to end may still work off its own queue.
-            self._jobs = queue.SimpleQueue()
-            self._results = Results(self, loop)
+    def _start(self, loop: asyncio.AbstractEventLoop) -> Results:
+        if self._results is None or self._thread is None:
+            # A thread that was told to end may still work off its own line.
+            self._line = Line()
+            self._results = Results(self, loop, self._line)
             self.stuck_since = None
             thread = threading.Thread(
                 target=_work,
-                args=(self._jobs, self._results),
+                args=(self._line, self._results),
                 name=f"esair-{self.name}",
                 daemon=True,
             )
@@ -341,7 +373,7 @@ class Executor:
                     f"executor {self.name}", "the limit of threads", error
                 ) from None
             self._thread = thread
-        return self._jobs
+        return self._results
 
 
 @attrs.frozen
@@ -357,8 +389,11 @@ class Wait:
 class Results:
     """What the thread of an executor has done, on its way into the event loop."""
 
-    def __init__(self, executor: Executor, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self, executor: Executor, loop: asyncio.AbstractEventLoop, line: Line
+    ) -> None:
         self._executor = executor
+        self.line = line
         self._tag = (executor.name,)
         self.door: Door = Door.of(loop)
         self.loop = loop
@@ -373,6 +408,13 @@ class Results:
         self.held = 0
         """How many calls it was given that have not come to its thread: see `Door`."""
         self.is_over = False  # whether the thread ends after them
+
+    def begin(self, work: int) -> None:
+        """Let a call come to the thread."""
+        self.line.begin(work)
+        self.held -= 1
+        if self.is_over and not self.held:
+            self.line.begin(None)
 
     def add(self, call: Call, result: Any, error: BaseException | None) -> None:
         """Hand over a result, from the thread."""
@@ -424,9 +466,9 @@ class Results:
             future.set_exception(stuck)
 
 
-def _work(calls: queue.SimpleQueue[Call | None], results: Results) -> None:
+def _work(line: Line, results: Results) -> None:
     works_for(results.loop)
-    while (call := calls.get()) is not None:
+    while (call := line.take()) is not None:
         result: Any = None
         error: BaseException | None = None
         try:

@@ -40,6 +40,7 @@ from esair.exceptions import (
 )
 from esair.journal import Kind
 from esair.loop import (
+    OPENING,
     Deadline,
     Deadlines,
     News,
@@ -572,7 +573,8 @@ class ResourceLife:
             await asyncio.sleep(0)
             if absent or is_loss(error) or is_silence(error):
                 pause: float | None = delay
-                delay = min(delay * 2, MAX_DELAY)
+                if type(error) is not NoTurnError:  # else it was not asked
+                    delay = min(delay * 2, MAX_DELAY)
             else:
                 pause = self.life.pause_after(error, self._loop.time())
             if pause is None:
@@ -608,7 +610,9 @@ class ResourceLife:
         try:
             # A change of settings that the loss has interrupted has to be over.
             async with self.configuring:
-                await self.device.open(patience)
+                moves = isinstance(self.channel, ActuatorChannel)
+                with self.device.driver.urgency.raised(OPENING if moves else 0):
+                    await self.device.open(patience)
         except Exception as error:
             return error
         return None
