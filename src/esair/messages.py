@@ -111,6 +111,8 @@ class StampedReading(Reading[T]):
 class Stamped(Generic[T]):
     """What a driver gives that knows when its device has measured a value.
 
+    One that comes after a newer one is counted (``dropped``), and nobody gets it.
+
     Attributes:
         value: The value.
         time: When it was measured, in seconds of `esair.now`; or None, with an age.

@@ -193,6 +193,72 @@ async def test_the_age_of_a_reading_counts_from_its_measurement(
         assert await user.camera.read(max_age=0.35) == 1.0
 
 
+@pytest.mark.promise("SC-1")
+@pytest.mark.promise("SC-4")
+@pytest.mark.parametrize("pushes", [False, True])
+async def test_what_was_measured_before_the_question_is_not_fresh(
+    user_of: Any, pushes: bool
+) -> None:
+    """However late it comes: a fresh reading waits for one that was measured since."""
+
+    class Camera(esair.Sensor[float]):
+        rate = 10.0
+        asked = 0
+
+    async def read(self: Camera) -> Any:
+        self.asked += 1
+        return Stamped(1.0, age=0.15)
+
+    async def stream(self: Camera) -> Any:
+        while True:
+            await asyncio.sleep(0.1)
+            yield Stamped(1.0, now() - 0.15)
+
+    setattr(Camera, "stream" if pushes else "read", stream if pushes else read)
+    user, camera = user_of("user", camera=esair.reads(float)), Camera()
+    async with esair.Robot(resources=[camera], behaviors=[user]):
+        await asyncio.sleep(0.62)
+        before = now()
+        reading = await user.camera.reading(fresh=True)
+        assert before <= reading.time <= before + 0.1
+        assert camera.asked <= 3
+        with pytest.raises(esair.StaleReadingError, match=r"limit 0\.14 s"):
+            await user.camera.read(fresh=True, timeout=0.14)
+
+
+@pytest.mark.promise("SC-1")
+@pytest.mark.promise("SC-4")
+async def test_a_measurement_that_comes_late_replaces_no_newer_one(
+    user_of: Any,
+) -> None:
+    """It is counted; nobody gets it, and the newest stays that."""
+
+    class Camera(esair.Sensor[float]):
+        async def stream(self) -> Any:
+            for time in (0.3, 0.1, 0.2, 0.4):
+                await asyncio.sleep(0.1)
+                yield Stamped(time, began + time)
+            await asyncio.sleep(1000.0)
+
+    class Follower(esair.Behavior):
+        camera = esair.reads(float)
+        seen = ()
+
+        async def run(self) -> None:
+            async for value in self.camera:
+                self.seen += (value,)
+
+    follower = Follower()
+    user, began = user_of("user", camera=esair.reads(float)), now() - 0.4
+    async with esair.Robot(resources=[Camera()], behaviors=[user, follower]) as robot:
+        await asyncio.sleep(0.35)
+        assert await user.camera.read() == 0.3
+        await asyncio.sleep(0.1)
+        assert [each.value for each in user.camera.history(9)] == [0.3, 0.4]
+        assert robot.journal.counts()["camera"]["dropped"] == 2
+    assert follower.seen == (0.3, 0.4)
+
+
 @pytest.mark.promise("SC-4")
 @pytest.mark.parametrize("time", [1e9, math.nan, "noon", 10**400])
 async def test_a_measurement_of_the_future_is_a_fault(user_of: Any, time: Any) -> None:

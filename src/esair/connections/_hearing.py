@@ -18,6 +18,7 @@ from esair.connections._calls import Call, Calls, End, Method, stamped
 from esair.exceptions import BusyError, DeviceLostError, EsairError
 from esair.loop import (
     REACHED,
+    Deadline,
     Deadlines,
     Door,
     InLine,
@@ -99,7 +100,7 @@ class Asking:
         """A question from before this moment gives an answer from before it."""
         self._poll: Job | None = None
         self._polled_in = 0
-        self._soon: asyncio.Handle | None = None
+        self._soon: asyncio.Handle | Deadline | None = None
         """Asks the device in the next turn, for all who have asked in this one."""
         self.waiting: WaitingReaders = WaitingReaders(device.name, device.loop, silent)
         self.awaited_in: int = 0
@@ -177,6 +178,10 @@ class Asking:
         """Ask the device in the next turn, for all who wait then."""
         device = self._device
         if self.rate and not self.busy and self._soon is None and device.state is READY:
+            if self.waiting.behind:  # it would measure too early once more
+                pause = min(max(self.waiting.behind, SOON), 1.0 / self.rate)
+                self._soon = Deadlines.of(device.loop).after(pause, self._ask_now)
+                return
             self._soon = device.loop.call_soon(
                 self._ask_now, context=contextvars.Context()
             )
@@ -255,9 +260,12 @@ class Asking:
             function()
 
 
-Waiter = tuple[float, asyncio.Future[Reading[Any]], float, float]
-"""Of which transaction the answer must be at least, what gets it, until when, and for
-how many seconds that was."""
+Waiter = tuple[float, asyncio.Future[Reading[Any]], float, float, float]
+"""Of which transaction the answer must be at least, what gets it, until when, for how
+many seconds that was, and when it must have been measured at the earliest."""
+
+SOON = 0.001
+"""The shortest pause before a device is asked again that has measured too early, in s."""
 
 
 class WaitingReaders:
@@ -269,6 +277,7 @@ class WaitingReaders:
         "_name",
         "_silent",
         "_time",
+        "behind",
         "readers",
         "turned_away",
     )
@@ -286,16 +295,18 @@ class WaitingReaders:
         self._deadline = Deadlines.of(loop).idle(self._expire)
         """That of the reader whose time is over first."""
         self.readers: list[Waiter] = []  # who waits
+        self.behind: float = 0.0
+        """By how much the last answer was measured too early for who waits still, in s."""
         self.turned_away: int = 0
 
-    async def reading(self, need: float, timeout: float) -> Reading[Any]:
-        """Wait for what transaction `need` gives, or a later one."""
+    async def reading(self, need: float, timeout: float, since: float) -> Reading[Any]:
+        """Wait for what transaction `need` gives, or a later one, measured since then."""
         if len(self.readers) >= WAITING_LIMIT:
             self.turned_away += 1
             raise BusyError(self._name, "number of waiting readers", WAITING_LIMIT)
         future: asyncio.Future[Reading[Any]] = self._loop.create_future()
         until = self._time() + timeout
-        waiter = (need, future, until, timeout)
+        waiter = (need, future, until, timeout, since)
         self.readers.append(waiter)
         self._deadline.start_by(until)
         try:
@@ -308,25 +319,31 @@ class WaitingReaders:
     def answer(self, number: float, answer: Reading[Any] | EsairError) -> None:
         """Tell what transaction `number` has given to those who wait for it."""
         waiters, self.readers = self.readers, []
+        self.behind = 0.0
         for waiter in waiters:
-            need, future, *_ = waiter
+            need, future, _, _, since = waiter
             if future.done():
                 continue
             if need > number:
                 self.readers.append(waiter)
             elif isinstance(answer, Reading):
-                arrive(future, answer)
+                if since <= answer.time:
+                    arrive(future, answer)
+                else:
+                    self.readers.append(waiter)
+                    self.behind = max(self.behind, since - answer.time)
             else:
                 future.set_exception(answer)
         self._rest()
 
     def _rest(self) -> None:
         if not self.readers:
+            self.behind = 0.0
             self._deadline.cancel()
 
     def _expire(self) -> None:
         now = self._time()
-        for _, future, until, timeout in self.readers:
+        for _, future, until, timeout, _ in self.readers:
             if future.done():
                 continue
             if now + REACHED < until:

@@ -87,7 +87,8 @@ class SensorChannel(Device):
         self.newest: Reading[Any] | None = None
         self.bad: int = 0
         """How many readings were of a wrong type, not finite, or outside the limits."""
-        self.dropped: int = 0  # how many readings a slow follower has not seen
+        self.dropped: int = 0
+        """How many readings a slow follower has not seen, or came after newer ones."""
         self.sequence: int = 0
         self._followers: tuple[Follower, ...] = ()
         self.asking: Asking = Asking(
@@ -223,7 +224,10 @@ class SensorChannel(Device):
             raise StaleReadingError(self.name, self.time() - self.newest.time, max_age)
         need = self.asking.next_answer(fresh=fresh)
         self.asking.ask()
-        reading = await self.asking.waiting.reading(need, timeout)
+        # What is computed is of readings that its sources were asked for since.
+        measured = fresh and not self.sensor.is_computed
+        since = self.time() if measured else -math.inf
+        reading = await self.asking.waiting.reading(need, timeout, since)
         self._check(registration)
         age = self.time() - reading.time
         if age > max_age:
@@ -248,9 +252,11 @@ class SensorChannel(Device):
 
     def _silent(self, timeout: float) -> StaleReadingError:
         """Make the error of a reader whom the device has not answered in time."""
-        newest = self.newest
-        age = None if newest is None else self.time() - newest.time
-        return StaleReadingError(self.name, age, timeout, silent=True)
+        newest, now = self.newest, self.time()
+        if newest is None:
+            return StaleReadingError(self.name, None, timeout, silent=True)
+        silent = newest.arrived + timeout <= now
+        return StaleReadingError(self.name, now - newest.time, timeout, silent=silent)
 
     # Followers.
 
@@ -318,7 +324,8 @@ class SensorChannel(Device):
     def publish(self, value: Any, number: float) -> None:
         """Give a new value to everybody who waits or follows."""
         clock, check = self.time, self._check_value  # hot
-        now = time = clock()
+        now = clock()
+        time: float | None = None
         wrong: str | None = None
         if type(value) is Stamped:
             measured = measured_at(value, now)
@@ -335,9 +342,14 @@ class SensorChannel(Device):
         if wrong is not None:
             self._fail(DeviceFaultError(self.name, wrong), number)
             return
+        newer = self.newest
+        if time is not None and newer is not None and self._overtaken(newer, time):
+            self.dropped += 1
+            self.asking.waiting.answer(number, newer)
+            return
         sequence = self.sequence = self.sequence + 1
         reading: Reading[Any]
-        if time == now:
+        if time is None:
             reading = _new(Reading, (value, now, sequence))
         else:
             reading = StampedReading.at(value, time, sequence, now)
@@ -350,6 +362,11 @@ class SensorChannel(Device):
             waiting.answer(number, reading)
         for follower in self._followers:
             follower.feed(reading)
+
+    def _overtaken(self, newer: Reading[Any], time: float) -> bool:
+        """Tell whether a value was measured before the newest reading, and came late."""
+        is_one = type(newer) is StampedReading and not self.sensor.is_computed
+        return is_one and time < newer.time
 
     def _fail(self, error: BaseException, number: float) -> None:
         deadline = self.sensor.deadline

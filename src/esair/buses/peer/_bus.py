@@ -326,8 +326,10 @@ class PeerBus(Bus):
             elif sent > NEVER:
                 # It was measured no earlier than that, however long each way was.
                 now = asyncio.get_running_loop().time()
-                at = min(now, sent - parts[1])
-                said, heard = (now, at, parts[2]), self._heard.get(parts[0])
+                at, heard = min(now, sent - parts[1]), self._heard.get(parts[0])
+                if heard is not None:
+                    at = max(at, heard[1])  # they come in the order of measurement
+                said = (now, at, parts[2])
                 if heard is None or not _is_again(heard, said):
                     self._heard[parts[0]] = said
                     wanted[1].offer(Stamped(parts[2], at))
