@@ -21,9 +21,11 @@ class Arm(esair.Actuator[float]):
     def __init__(self) -> None:
         super().__init__()
         self.told: list[object] = []
+        self.place: float | None = 1.0
 
-    def write(self, command: float) -> None:
+    def write(self, command: float) -> float | None:
         self.told.append(command)
+        return self.place if command is esair.HOLD else None
 
 
 class Move(esair.Behavior):
@@ -39,7 +41,7 @@ class Move(esair.Behavior):
 
 
 async def test_it_stays_and_goes_on_from_there() -> None:
-    """HOLD reaches the driver; how fast the next may be counts from the one before."""
+    """HOLD reaches the driver; how fast the next may be counts from where it stays."""
     arm = Arm()
     async with esair.Robot(resources=[arm], behaviors=[Move()]):
         await asyncio.sleep(1.05)
@@ -47,6 +49,39 @@ async def test_it_stays_and_goes_on_from_there() -> None:
     assert arm.told[:3] == [esair.HOLD, 1.0, esair.HOLD]
     assert commands[0] == 1.0
     assert 1.0 < commands[1] <= 1.5
+
+
+@pytest.mark.promise("ROB-4")
+async def test_nobody_slews_from_where_nobody_knows(user_of) -> None:
+    """Until its driver has said where it stays, at each opening, commands are refused."""
+    arm, user = Arm(), user_of("user", arm=esair.writes(float))
+    arm.place = None
+    async with esair.Robot(resources=[arm], behaviors=[user]) as robot:
+        refused = await user.arm.write(3.0)
+        assert not refused
+        assert "has not said where it stays" in refused.rule
+        arm.place = 2.0
+        assert await user.arm.write(esair.HOLD)
+        assert 2.0 <= (await user.arm.write(3.0)).command <= 2.2
+        arm.place = None
+        arm.report_lost()
+        await asyncio.sleep(1.0)
+        assert robot.resources.query("arm").losses == 1
+        assert not await user.arm.write(3.0)
+
+
+class Deaf(Arm):
+    """Says nothing, as it declares."""
+
+    def write(self, command: float) -> None:  # type: ignore[override]
+        self.told.append(command)
+
+
+async def test_a_driver_that_never_says_where_it_stays_has_no_slew() -> None:
+    """It is a mistake, before the robot starts."""
+    with pytest.raises(ExceptionGroup) as mistakes:
+        await esair.Robot(resources=[Deaf()]).__aenter__()
+    assert mistakes.group_contains(esair.ConfigError, match="deaf: slew: begins where")
 
 
 class Wheels(Arm):

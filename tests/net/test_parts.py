@@ -8,6 +8,7 @@ import pytest
 from tests.net.parts import STILL, Dock, Docked, Hand, Pair, Twist
 
 import esair
+from esair.drivers.peer import PeerActuator
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -30,6 +31,21 @@ async def test_a_remote_part_is_read_and_written_by_its_local_name() -> None:
         assert (why.holder, why.priority) == ("rover", 5)
         assert rover.resources.query("far_wheels").state is esair.ResourceState.READY
     assert pair.wheels.commands[-1] == STILL
+
+
+@pytest.mark.promise("NET-2")
+@pytest.mark.promise("ROB-4")
+async def test_a_slew_begins_where_the_remote_part_was_let_go(monkeypatch) -> None:
+    """Its owner says where that is: at the start, and after each pause."""
+    monkeypatch.setattr(PeerActuator, "slew", {"linear": 0.1})
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand):
+        for _ in range(2):
+            written = await hand.wheels.write(Twist(0.3, 0.0))
+            assert 0.0 < written.command.linear <= 0.021
+            assert pair.wheels.commands[-1] == written.command
+            await asyncio.sleep(1.0)
+            assert pair.wheels.commands[-1] == STILL
 
 
 async def test_ask() -> None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import attrs
 
 from esair.connections._calls import Call, Guard, Method, translate_call
+from esair.connections._device import Operating
 from esair.connections._gate import LastCommand
 from esair.connections._values import CommandCheck
 from esair.exceptions import (
@@ -80,6 +81,12 @@ class Told:
         self.error: str = "it was never told anything"
         self.at: float = 0.0
         self.base: Any = None
+
+    @property
+    def place(self) -> Any:
+        """Where the device is; None if nobody knows, as after an operation."""
+        place = self.base if self.command is HOLD else self.command
+        return None if isinstance(place, Operating) else place
 
 
 class Wire:
@@ -208,15 +215,15 @@ class Wire:
         return copy.deepcopy(command) if self.copies else command
 
     def slewed(self, command: Any, seconds: float) -> Any:
-        """Return a command as it may be sent so many seconds after the last one."""
-        told = self.told
-        before = told.base if told.command is HOLD else told.command
-        if before is None or before is HOLD:
-            return command  # nobody knows where it stays: its driver has not said
+        """Return a command as it may be sent so many seconds after the last one.
+
+        Return None if nobody knows where it stays: its driver has not said.
+        """
+        told, before = self.told, self.told.place
         if command is HOLD:
             told.base = before
             return command
-        return self.check.slewed(command, before, seconds)
+        return None if before is None else self.check.slewed(command, before, seconds)
 
     def failed(self, error: BaseException, kind: str) -> EsairError:
         """Take note of what the driver has raised; returns what its caller gets."""
@@ -246,11 +253,15 @@ class Wire:
         return translate_call(self._device.name, kind, self.actuator.deadline, error)
 
     def took(self, command: Any, answer: Any) -> None:
-        """Tell those who read it what was applied."""
-        if self.applied is None or isinstance(answer, Refused):
-            return
+        """Take note of what was applied, and tell those who read it."""
         if isinstance(answer, Written):
             answer = answer.command
+        if isinstance(answer, Refused):
+            return
+        if command is HOLD and answer is not None:
+            self.told.base = answer
+        if self.applied is None:
+            return
         if answer is not None:
             command = None if self.unsound(command, answer) else answer
         elif command is HOLD:
@@ -519,8 +530,8 @@ class SafeCommand:
         device, wire = self._device, self._wire
         actuator, calls, told = wire.actuator, device.calls, wire.told
         command = HOLD if self._stays else actuator.safe
-        if command is HOLD and told.command is not HOLD:
-            told.base = told.command
+        if command is HOLD:
+            told.base = told.place
         told.command = command
         told.at = device.time()
         told.is_safe = command is actuator.safe
@@ -533,8 +544,6 @@ class SafeCommand:
             applied = await self._outcome(applied)
         if opening == calls.opening and calls is device.calls:
             told.error = ""
-            if command is HOLD and applied is not None:
-                told.base = applied
             wire.took(command, applied)
             if wire.watch is not None:
                 wire.watch.is_safe()
@@ -555,6 +564,7 @@ class SafeCommand:
         """Send it to a device that was just opened."""
         # What has ended until now, it is sent after; `up` sends it after what follows.
         self.state, self._stays = ON_ITS_WAY, False
+        self._wire.told.command = None  # it may have been moved since
         for left in reversed(range(SAFE_TRIES)):
             try:
                 await self._tell()

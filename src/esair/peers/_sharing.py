@@ -199,8 +199,12 @@ class Sharing(Behavior):
         while True:
             what, since, number, name, *rest = await queue.get()
             if what == "release":
-                if await port._let_go():  # noqa: SLF001 - for nobody but a peer
-                    self._answer(number, "written", None)
+                is_told, place = await port._let_go()  # noqa: SLF001 - for a peer alone
+                if is_told:
+                    try:
+                        self.bus.say("answer", number, "written", place)
+                    except BadValueError:  # it is none of what is shared
+                        self.bus.say("answer", number, "written", None)
                 else:
                     how = "failed" if self._is_there(name) else "lost"
                     self._answer(number, how, "it did not take its safe command")

@@ -365,11 +365,19 @@ def _in_actuator(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
         yield field, f"does not fit: {error}"
 
 
+_NOTHING = None, "None"
+"""How a method says that it returns nothing."""
+
+
 def _in_slew(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
     for field, slew in limits_by_field(actuator.slew).items():
         if not is_positive(slew):
             told = f"expected a change per second > 0, not {slew!r:.80}"
             yield f"slew.{field}".rstrip("."), told
+    returns = getattr(actuator.write, "__annotations__", {}).get("return", "")
+    if actuator.slew is not None and actuator.safe is HOLD and returns in _NOTHING:
+        told = "begins where it stays: write must return that for esair.HOLD"
+        yield "slew", told
 
 
 _Plain = tuple[tuple[str, bool, str, Any], ...]

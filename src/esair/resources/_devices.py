@@ -203,7 +203,11 @@ class Actuator(Resource, Generic[T]):
     """Move a value to the nearest limit, instead of refusing it."""
 
     slew: float | Mapping[str, float] | None = None
-    """The fastest change, in units per second: of the command, or of its fields."""
+    """The fastest change, in units per second: of the command, or of its fields.
+
+    Where ``safe`` is `esair.HOLD` it begins where the device stays, which `write` returns
+    when it is told that; until it has, commands are refused.
+    """
 
     own_timeout: float | None = None
     """After how many seconds the *device itself* stops when it hears nothing.
