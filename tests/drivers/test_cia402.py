@@ -197,6 +197,14 @@ async def test_a_position_is_gone_to_and_a_newer_one_at_once(
         assert far.velocity == 0
 
 
+async def test_positions_need_no_zero_among_them(wire: FakeCan, far: FakeDrive) -> None:
+    """Where a joint goes from 1 to 2 rad, its stop is within the limits, too."""
+    drive = made(PositionDrive, wire, limits=(1.0, 2.0), factor=UNIT)
+    assert drive.safe == Move(1.0, stop=True)
+    async with esair.Robot(resources=[drive]) as robot:
+        assert robot.resources.query(drive.name).state is esair.ResourceState.READY
+
+
 @pytest.mark.fault("D05")
 async def test_a_fault_is_told_in_the_words_of_the_emergency(
     wire: FakeCan, far: FakeDrive

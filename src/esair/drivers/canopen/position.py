@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Unpack
 
 import attrs
@@ -18,7 +19,7 @@ class Move:
     """What a drive is told.
 
     Attributes:
-        position: Where to go, in rad; without meaning if it stops.
+        position: Where to go, in rad; without meaning if it stops, but within the limits.
         stop: Whether it stops where it is.
     """
 
@@ -38,13 +39,16 @@ class PositionDrive(DriveActuator, Actuator[Move]):
         **settings: ``node``, ``eds``, ``stop`` and more, as there.
     """
 
-    safe: Move = Move(stop=True)
     mode = profile.PROFILE_POSITION
     target = profile.TARGET_POSITION
 
     def __init__(self, **settings: Unpack[DriveActuatorSettings]) -> None:
         super().__init__(**settings)
         self.limits: dict[str, tuple[float, float]] = {"position": self._allowed}
+        self.safe: Move = Move(stop=True)
+        with contextlib.suppress(TypeError, ValueError):  # the start says what is wrong
+            low, high = self._allowed
+            self.safe = Move(min(max(low, 0.0), high), stop=True)
 
     async def write(self, command: Move) -> None:
         """Tell the drive where to go, and enable it; or stop it."""
