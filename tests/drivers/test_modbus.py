@@ -217,6 +217,30 @@ def test_a_message_is_found_behind_some_garbage(
         assert framing.feed(wire[:cut]) + framing.feed(wire[cut:]) == [message]
 
 
+NOISE = bytes(range(0x30, 0x50))
+
+
+@hypothesis.given(st.lists(st.one_of(st.binary(max_size=40), st.none()), max_size=8))
+@hypothesis.example([NOISE, None])
+@pytest.mark.fault("D08", "D09")
+def test_the_same_comes_out_however_it_is_cut(
+    parts: list[bytes | None],
+) -> None:
+    """An answer behind more noise than it is long, in one piece with it, is found."""
+    for framing, message in [
+        (ModbusRtu(), b"\x03\x03\x04\x00\x07\x00\x08"),
+        (ModbusTcp(), b"\x00\x01\x03\x03\x04\x00\x07\x00\x08"),
+    ]:
+        frame = framing.encode(message)
+        wire = b"".join(frame if part is None else part for part in parts)
+        whole, single = framing.fresh(), framing.fresh()
+        found = whole.feed(wire)
+        assert found == [message] or parts != [NOISE, None]
+        assert [got for at in wire for got in single.feed(bytes([at]))] == found
+        assert single.discarded == whole.discarded
+        assert single.bad_frames == whole.bad_frames
+
+
 @pytest.mark.fault("D08", "D09")
 @pytest.mark.parametrize("piece", [1, 2, 3, 5, 8, 12])
 def test_a_stray_byte_costs_one_answer_of_tcp(piece: int) -> None:

@@ -117,3 +117,54 @@ class Looks:
     def earn(self, count: int) -> None:
         """Have gone further by so many bytes."""
         self.credit = min(RESERVE, self.credit + count / SPARSE)
+
+
+class Searching(Framing):
+    """Looks for the beginning of a frame, place by place; for garbage in few places.
+
+    After a bad frame the search goes on one byte later, so a good frame inside it is
+    found. What begins inside a bad frame is not counted as bad once more.
+    """
+
+    def __init__(self, *, max_length: int) -> None:
+        super().__init__(max_length=max_length)
+        self._inside = 0  # how many of the next bytes are in a frame counted as bad
+        self._left_out = 0
+        self.looks: Looks = Looks()
+        """Pays for the places that began no good frame."""
+
+    def reset(self) -> None:
+        """Forget a partial frame: after an opening, or after a silence."""
+        super().reset()
+        self._inside = self._left_out = 0
+        self.looks.fill()
+
+    def _begin(self, data: bytes) -> int:
+        """Take more bytes; return the place in the buffer to look at first."""
+        self._buffer += data
+        return self._pass(0, self._left_out)
+
+    def _good(self, at: int, end: int) -> int:
+        """Have found a good frame; return the place to look at next."""
+        self._inside = max(0, self._inside - (end - at))
+        self.looks.earn(end - at)
+        return end
+
+    def _bad(self, at: int, end: int, cost: float) -> int:
+        """Have found none, or a bad one; return the place to look at next."""
+        if not self._inside:
+            self.bad_frames += 1
+            self._inside = end - at
+        return self._pass(at, self.looks.pay(cost) or 1)
+
+    def _pass(self, at: int, step: int) -> int:
+        """Go further, as far as bytes have come; the rest is left out when it comes."""
+        now = min(step, len(self._buffer) - at)
+        self._left_out = step - now
+        self._skip(now)
+        return at + now
+
+    def _skip(self, count: int) -> None:
+        self.discarded += count
+        self.looks.earn(count)
+        self._inside = max(0, self._inside - count)

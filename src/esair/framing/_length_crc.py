@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Literal
 
 from esair.exceptions import ConfigError
-from esair.framing._framing import Framing, Looks
+from esair.framing._framing import Searching
 from esair.values import check_choice, check_whole
 
 _CRCS: dict[str, tuple[int, Callable[[bytes | bytearray], int]]] = {
@@ -37,7 +37,7 @@ CRC_SHARE = 512
 """How many bytes of a CRC cost as much as the look at a place."""
 
 
-class LengthCrc(Framing):
+class LengthCrc(Searching):
     """Sync bytes, a header, a length, the rest of the payload, a checksum, a trailer.
 
     Header and trailer may be empty: then the length counts the payload only and is never
@@ -53,9 +53,8 @@ class LengthCrc(Framing):
         { type = "length-crc", sync = "B5 62", header = 2, length_size = 2,
           byteorder = "little", crc = "fletcher-8", max_length = 1024 }
 
-    After a bad frame the search goes on one byte later, so a good frame
-    inside it is found: at the latest when one longest frame has arrived after it began.
-    What begins inside a bad frame is not counted as bad once more.
+    A good frame inside a bad one is found at the latest when one longest frame has
+    arrived after that began.
 
     The work for garbage is bounded: a reserve of `RESERVE` places is looked at whatever
     they cost, and then one in `SPARSE` bytes, until good frames have filled it again. So
@@ -117,17 +116,11 @@ class LengthCrc(Framing):
         self.byteorder: Literal["big", "little"] = byteorder
         self.crc = crc
         self._crc_size, self._crc = _CRCS[crc]
-        self._inside = 0  # how many of the next bytes are in a frame counted as bad
-        self._left_out = 0
-        self.looks: Looks = Looks()
-        """Pays for the places that began no good frame."""
 
     def feed(self, data: bytes) -> list[bytes]:
         """Take the bytes that arrived; return the payloads that are complete now."""
-        buffer = self._buffer
-        buffer += data
+        at, buffer = self._begin(data), self._buffer
         payloads: list[bytes] = []
-        at = self._pass(0, self._left_out)
         before, trailer = len(self.sync) + self.header, self.trailer
         head = before + self.length_size
         covered_from = len(self.sync) if self.crc != "xor-8" else before
@@ -160,14 +153,9 @@ class LengthCrc(Framing):
                 cost += len(covered) / CRC_SHARE
                 if told == self._told(covered) + trailer:
                     payloads.append(bytes(payload))
-                    self._inside = max(0, self._inside - (end - at))
-                    self.looks.earn(end - at)
-                    at = end
+                    at = self._good(at, end)
                     continue
-            if not self._inside:
-                self.bad_frames += 1
-                self._inside = end - at
-            at = self._pass(at, self.looks.pay(cost) or 1)
+            at = self._bad(at, end, cost)
         del buffer[:at]
         return payloads
 
@@ -188,24 +176,6 @@ class LengthCrc(Framing):
         """Return the checksum of bytes, as it is on the wire."""
         order = "big" if self.crc == "fletcher-8" else self.byteorder
         return self._crc(covered).to_bytes(self._crc_size, order)
-
-    def reset(self) -> None:
-        """Forget a partial frame: after an opening, or after a silence."""
-        super().reset()
-        self._inside = self._left_out = 0
-        self.looks.fill()
-
-    def _pass(self, at: int, step: int) -> int:
-        """Go further, as far as bytes have come; the rest is left out when it comes."""
-        now = min(step, len(self._buffer) - at)
-        self._left_out = step - now
-        self._skip(now)
-        return at + now
-
-    def _skip(self, count: int) -> None:
-        self.discarded += count
-        self.looks.earn(count)
-        self._inside = max(0, self._inside - count)
 
 
 def _bytes_of(field: str, given: bytes | str) -> bytes:

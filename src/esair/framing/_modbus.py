@@ -5,13 +5,13 @@ from __future__ import annotations
 import struct
 from typing import Final
 
-from esair.framing._framing import Framing
+from esair.framing._framing import Searching
 
 LONGEST: Final = 254
 """Bytes of the longest message: the unit, and 253 of what it is told."""
 
-PATIENCE: Final = 16
-"""After how many places that begin no message all that has come is thrown away."""
+CRC_SHARE: Final = 32
+"""How many bytes of a CRC cost as much as the look at a place."""
 
 _READS, _SHORT, _LONG = frozenset({1, 2, 3, 4}), frozenset({5, 6}), frozenset({15, 16})
 
@@ -36,26 +36,7 @@ def _crc(data: bytes | bytearray) -> bytes:
     return value.to_bytes(2, "little")
 
 
-class _Searching(Framing):
-    """Looks for the beginning of a message, place by place.
-
-    After `PATIENCE` places that begin none a chunk is thrown away whole, so that garbage
-    costs next to nothing.
-    """
-
-    def __init__(self, *, max_length: int) -> None:
-        super().__init__(max_length=max_length)
-        self._failed = 0
-
-    def _drop(self, is_bad: bool) -> None:
-        self.bad_frames += is_bad
-        self._failed += 1
-        count = len(self._buffer) if self._failed > PATIENCE else 1
-        self.discarded += count
-        del self._buffer[:count]
-
-
-class ModbusRtu(_Searching):
+class ModbusRtu(Searching):
     """Modbus RTU: the unit, the function and its data, a CRC.
 
     A message has no beginning and no length of its own; silence separates them, which
@@ -76,20 +57,20 @@ class ModbusRtu(_Searching):
 
     def feed(self, data: bytes) -> list[bytes]:
         """Return the messages that are complete now, without their CRC."""
-        buffer = self._buffer
-        buffer += data
+        at, buffer = self._begin(data), self._buffer
         found = []
-        while len(buffer) >= 4:
-            sizes = _sizes(buffer)
-            size = next((n for n in sizes if self._fits(n)), 0)
-            if size:
-                found.append(bytes(buffer[: size - 2]))
-                del buffer[:size]
-                self._failed = 0
-            elif any(n > len(buffer) for n in sizes):
+        while len(buffer) - at >= 4:
+            sizes = _sizes(buffer, at)
+            end = next((at + n for n in sizes if self._fits(at, at + n)), 0)
+            if end:
+                found.append(bytes(buffer[at : end - 2]))
+                at = self._good(at, end)
+            elif sizes and at + sizes[-1] > len(buffer):
                 break
             else:
-                self._drop(bool(sizes))
+                cost = 1.0 + sum(sizes) / CRC_SHARE
+                at = self._bad(at, at + max(sizes, default=1), cost)
+        del buffer[:at]
         return found
 
     def encode(self, payload: bytes) -> bytes:
@@ -102,27 +83,29 @@ class ModbusRtu(_Searching):
         self.reset()
         return payload + _crc(payload)
 
-    def _fits(self, size: int) -> bool:
+    def _fits(self, at: int, end: int) -> bool:
         buffer = self._buffer
         return (
-            size <= len(buffer) and _crc(buffer[: size - 2]) == buffer[size - 2 : size]
+            end <= len(buffer) and _crc(buffer[at : end - 2]) == buffer[end - 2 : end]
         )
 
 
-def _sizes(buffer: bytearray) -> tuple[int, ...]:
-    """Return how long a message can be, an answer or a request, with its CRC."""
-    function = buffer[1]
+def _sizes(buffer: bytearray, at: int) -> tuple[int, ...]:
+    """Return how long a message can be, an answer or a request, the shortest first."""
+    function, count = buffer[at + 1], buffer[at + 2]
     if function in _READS:
-        return (5 + buffer[2], 8) if 0 < buffer[2] <= 250 else (8,)
+        if not 0 < count <= 250:
+            return (8,)
+        return (5 + count, 8) if count < 3 else (8, 5 + count)
     if function in _SHORT:
         return (8,)
     if function in _LONG:
-        count = buffer[6] if len(buffer) > 6 else 0
+        count = buffer[at + 6] if len(buffer) > at + 6 else 0
         return (8, 9 + count) if count <= 246 else (8,)
     return (5,) if 0x80 < function <= 0x90 else ()
 
 
-class ModbusTcp(_Searching):
+class ModbusTcp(Searching):
     """Modbus TCP: a number that the answer repeats, a length, the unit, the function.
 
     A payload is the number (two bytes), the unit, and the function with its data.
@@ -147,19 +130,20 @@ class ModbusTcp(_Searching):
 
     def feed(self, data: bytes) -> list[bytes]:
         """Return the messages that are complete now."""
-        buffer = self._buffer
-        buffer += data
+        at, buffer = self._begin(data), self._buffer
         found = []
-        while len(buffer) >= 8:
-            number, protocol, length = struct.unpack_from(">HHH", buffer)
+        while len(buffer) - at >= 8:
+            protocol, length = struct.unpack_from(">HH", buffer, at + 2)
             if protocol or not 2 <= length <= LONGEST:
-                self._drop(is_bad=not self._failed)
+                at = self._bad(at, at + 6 + LONGEST, 1.0)
                 continue
-            if len(buffer) < 6 + length:
+            end = at + 6 + length
+            if len(buffer) < end:
                 break
-            self._failed = 0
-            found.append(number.to_bytes(2, "big") + buffer[6 : 6 + length])
-            del buffer[: 6 + length]
+            found.append(bytes(buffer[at : at + 2] + buffer[at + 6 : end]))
+            at = self._good(at, end)
+            self._inside = 0
+        del buffer[:at]
         return found
 
     def encode(self, payload: bytes) -> bytes:
