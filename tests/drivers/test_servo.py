@@ -55,6 +55,7 @@ from esair.exceptions import (
     DeviceLostError,
     DriverStuckError,
 )
+from esair.loop import SAFE, Urgency, urgency
 from esair.testing import ActuatorContract, BusContract, SensorContract
 
 RELEASE = Goal(mode=Mode.RELEASE)
@@ -667,3 +668,27 @@ async def test_a_goal_for_a_servo_that_has_restarted_is_not_done(
     await servo.open()
     await servo.write(Goal(0.7))
     assert fakes.servos[1].torque
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("BUS-5")
+async def test_what_is_urgent_waits_for_no_silent_servos() -> None:
+    """Others are asked one by one, as they do not answer: it has the next turn."""
+    fakes = FakeServos([1])
+    bus = ServoBus(name="arm", wire=fakes)
+    await bus.open()
+    fakes.servos[1].put(TORQUE_ENABLE, 1)
+    silent = [bus.read(number, PRESENT_POSITION, 4) for number in range(2, 8)]
+    asking = asyncio.gather(*silent, return_exceptions=True)
+    await asyncio.sleep(0.1)
+    urgency.set(urgent := Urgency())
+
+    with urgent.raised(SAFE):
+        began = esair.now()
+        await bus.write(1, TORQUE_ENABLE, 1, 0)
+
+    assert esair.now() - began <= 0.051
+    assert not fakes.servos[1].torque
+    assert not asking.done()
+    await asking
+    await bus.close()

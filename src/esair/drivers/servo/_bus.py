@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import contextvars
 import enum
 import errno
 import math
@@ -15,7 +16,7 @@ from esair.buses.serial import SerialBus, SerialLink
 from esair.exceptions import DeviceFaultError, EsairError
 from esair.framing import Framing, LengthCrc
 from esair.loading import of_extra
-from esair.loop import now, spawn
+from esair.loop import InLine, now, spawn, urgency
 
 with of_extra("servo"):
     from dynamixel_sdk import (  # type: ignore[import-untyped]
@@ -244,6 +245,9 @@ Key = tuple[Kind, int, int]
 """What requests have in common that are made together: its kind, address and size."""
 
 
+Batch = list[tuple[int, int, InLine[int]]]
+"""Which servo, what it is told, and who waits."""
+
 HARDWARE_ERROR = 70
 
 ANSWER_TIMEOUT: Final = 0.05
@@ -323,8 +327,8 @@ class ServoBus(SerialBus):
             wire=wire,
             **settings,
         )
-        self._batches: dict[Key, list[tuple[int, int, asyncio.Future[int]]]] = {}
-        self._is_gathering = False
+        self._batches: dict[bool, dict[Key, Batch]] = {}
+        """What is gathered, apart for what is urgent: that waits for no other."""
         self._snapshots: dict[int, tuple[float, Snapshot]] = {}
 
     def packet(self, servo: int, address: int, value: int, size: int = 1) -> bytes:
@@ -402,37 +406,40 @@ class ServoBus(SerialBus):
         One that is cancelled before its turn is not sent.
         """
         loop = asyncio.get_running_loop()
-        future: asyncio.Future[int] = loop.create_future()
-        batch = self._batches.setdefault((kind, address, size), [])
-        batch.append((servo, value, future))
-        if not self._is_gathering:
-            self._is_gathering = True
-            spawn(loop, self._gather(), name="servos together")
+        future: InLine[int] = InLine(loop=loop)
+        urgent = urgency.get().level > 0
+        is_first = urgent not in self._batches
+        batches = self._batches.setdefault(urgent, {})
+        batches.setdefault((kind, address, size), []).append((servo, value, future))
+        if is_first:
+            context = contextvars.copy_context() if urgent else None
+            gathering = self._gather(urgent)
+            spawn(loop, gathering, name="servos together", context=context)
         return await future
 
-    async def _gather(self) -> None:
+    async def _gather(self, urgent: bool) -> None:
         try:
-            while self._batches:
+            while batches := self._batches[urgent]:
                 asked, quiet = -1, 0
                 while quiet < QUIET:
-                    before, asked = asked, sum(map(len, self._batches.values()))
+                    before, asked = asked, sum(map(len, batches.values()))
                     quiet = quiet + 1 if asked == before else 0
                     await asyncio.sleep(0)
-                batches, self._batches = self._batches, {}
+                self._batches[urgent] = {}
                 # What they are told first: only what they are asked waits for them.
                 for key in sorted(batches, key=lambda key: key[0]):
                     await self._make_batch(key, batches[key])
         finally:
-            self._is_gathering = False
+            del self._batches[urgent]
 
-    async def _make_batch(
-        self, key: Key, batch: list[tuple[int, int, asyncio.Future[int]]]
-    ) -> None:
+    async def _make_batch(self, key: Key, batch: Batch) -> None:
         """Make requests of one or of several servos for one entry."""
         live = [each for each in batch if not each[2].done()]
         if not live:
             return
         asked = {servo: value for servo, value, _ in live}  # the newest wins
+        for _, _, future in live:
+            future.begun = now()
         if key[0] is Kind.WRITE:
             for servo in asked:
                 self._snapshots.pop(servo, None)
