@@ -6,6 +6,7 @@ import pytest
 
 import esair
 from esair.exceptions import BadValueError
+from esair.plan import examine
 
 pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("PRO-12")]
 
@@ -51,25 +52,6 @@ async def test_it_stays_and_goes_on_from_there() -> None:
     assert 1.0 < commands[1] <= 1.5
 
 
-@pytest.mark.promise("ROB-4")
-async def test_nobody_slews_from_where_nobody_knows(user_of) -> None:
-    """Until its driver has said where it stays, at each opening, commands are refused."""
-    arm, user = Arm(), user_of("user", arm=esair.writes(float))
-    arm.place = None
-    async with esair.Robot(resources=[arm], behaviors=[user]) as robot:
-        refused = await user.arm.write(3.0)
-        assert not refused
-        assert "has not said where it stays" in refused.rule
-        arm.place = 2.0
-        assert await user.arm.write(esair.HOLD)
-        assert 2.0 <= (await user.arm.write(3.0)).command <= 2.2
-        arm.place = None
-        arm.report_lost()
-        await asyncio.sleep(1.0)
-        assert robot.resources.query("arm").losses == 1
-        assert not await user.arm.write(3.0)
-
-
 class Deaf(Arm):
     """Says nothing, as it declares."""
 
@@ -77,11 +59,16 @@ class Deaf(Arm):
         self.told.append(command)
 
 
-async def test_a_driver_that_never_says_where_it_stays_has_no_slew() -> None:
-    """It is a mistake, before the robot starts."""
-    with pytest.raises(ExceptionGroup) as mistakes:
-        await esair.Robot(resources=[Deaf()]).__aenter__()
-    assert mistakes.group_contains(esair.ConfigError, match="deaf: slew: begins where")
+@pytest.mark.promise("PRO-12")
+def test_check_names_a_slew_that_begins_nowhere() -> None:
+    """Its first command after each opening leaves as it is."""
+    said = {
+        (finding.component, finding.field)
+        for actuator in (Deaf(), Arm())
+        for finding in examine(esair.Robot(resources=[actuator]).plan)
+    }
+    assert ("deaf", "slew") in said
+    assert ("arm", "slew") not in said
 
 
 class Wheels(Arm):

@@ -46,9 +46,6 @@ COMMAND, APPLIED = Kind.COMMAND, Kind.APPLIED  # hot
 
 SENT: Written[Any] = Written(None)  # the answer to who does not look at it
 
-NOWHERE = "slew: its driver has not said where it stays, which it returns for HOLD"
-"""Why a command is refused whose change would be bounded, if nobody knew from where."""
-
 
 class Sending(NamedTuple):
     """A write that waits for the device: await it for its outcome."""
@@ -336,8 +333,6 @@ class ActuatorChannel(Device):
             return self._when_idle(registration, command, hold, expires)
         if wire.bounds:
             command = self._bounded(command, now)
-            if command is None:
-                return self._refuse(registration, self._too_late(registration, NOWHERE))
         # `Hold` takes it here, in place.  # hot
         if holder is not registration or now + REACHED >= held.begun + held.seconds:
             held.since = now

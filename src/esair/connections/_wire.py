@@ -217,13 +217,15 @@ class Wire:
     def slewed(self, command: Any, seconds: float) -> Any:
         """Return a command as it may be sent so many seconds after the last one.
 
-        Return None if nobody knows where it stays: its driver has not said.
+        It is as it was if nobody knows where the device stays: its driver has not said.
         """
         told, before = self.told, self.told.place
         if command is HOLD:
             told.base = before
             return command
-        return None if before is None else self.check.slewed(command, before, seconds)
+        return (
+            command if before is None else self.check.slewed(command, before, seconds)
+        )
 
     def failed(self, error: BaseException, kind: str) -> EsairError:
         """Take note of what the driver has raised; returns what its caller gets."""

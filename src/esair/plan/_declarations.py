@@ -303,8 +303,10 @@ def mistakes_in_resource(resource: Sensor[Any] | Actuator[Any]) -> Iterator[Find
     """Find what is wrong with the class of a resource, or with its values."""
     for field, told in _in_resource(resource):
         yield mistake("declaration", resource, field, told)
-    if isinstance(resource, Actuator) and resource.blocking:
-        yield from _blocks_safe(resource)
+    if isinstance(resource, Actuator):
+        if resource.blocking:
+            yield from _blocks_safe(resource)
+        yield from _slews_from_nowhere(resource)
 
 
 def _in_resource(
@@ -342,6 +344,19 @@ def _blocks_safe(actuator: Actuator[Any]) -> Iterator[Finding]:
             yield warning("time", actuator, name, told, advice)
 
 
+_NOTHING = None, "None"
+"""How a method says that it returns nothing."""
+
+
+def _slews_from_nowhere(actuator: Actuator[Any]) -> Iterator[Finding]:
+    """Find who bounds changes and never says from where the first one goes."""
+    returns = getattr(actuator.write, "__annotations__", {}).get("return", "")
+    if actuator.slew is not None and actuator.safe is HOLD and returns in _NOTHING:
+        told = "its first command after each opening is not bounded: nobody knows from where"
+        advice = "return the place from write when it is told esair.HOLD"
+        yield warning("protect", actuator, "slew", told, advice)
+
+
 def _in_actuator(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
     if not hasattr(actuator, "safe"):
         yield "safe", "an actuator must declare its safe command: safe = ..."
@@ -365,19 +380,11 @@ def _in_actuator(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
         yield field, f"does not fit: {error}"
 
 
-_NOTHING = None, "None"
-"""How a method says that it returns nothing."""
-
-
 def _in_slew(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
     for field, slew in limits_by_field(actuator.slew).items():
         if not is_positive(slew):
             told = f"expected a change per second > 0, not {slew!r:.80}"
             yield f"slew.{field}".rstrip("."), told
-    returns = getattr(actuator.write, "__annotations__", {}).get("return", "")
-    if actuator.slew is not None and actuator.safe is HOLD and returns in _NOTHING:
-        told = "begins where it stays: write must return that for esair.HOLD"
-        yield "slew", told
 
 
 _Plain = tuple[tuple[str, bool, str, Any], ...]

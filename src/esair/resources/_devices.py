@@ -206,7 +206,7 @@ class Actuator(Resource, Generic[T]):
     """The fastest change, in units per second: of the command, or of its fields.
 
     Where ``safe`` is `esair.HOLD` it begins where the device stays, which `write` returns
-    when it is told that; until it has, commands are refused.
+    when it is told that; the first command to one that does not is not bounded.
     """
 
     own_timeout: float | None = None
