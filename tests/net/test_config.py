@@ -12,7 +12,7 @@ from tests.net.parts import free_port
 
 import esair
 from esair.cli._peers import of_status
-from esair.config import check_together
+from esair.config import check, check_together, load
 from esair.seat import Status
 
 PARTS = """
@@ -207,6 +207,27 @@ def test_the_loud_word_is_a_warning(files: Files) -> None:
     (report, _) = check_together([files.base, files.rover])
     (found,) = (each for each in report.findings if each.rule == "peer")
     assert (found.severity, found.key, found.line) == ("warning", "network.insecure", 6)
+
+
+@pytest.mark.promise("NET-1")
+def test_a_simulation_joins_no_network_by_an_omission(files: Files) -> None:
+    """It could move real peers: it needs ``sim``, whose keys replace those beside it."""
+    assert files.errors() == []
+    with pytest.raises(ExceptionGroup) as refused:
+        load(files.rover, simulated=True)
+    (mistake,) = refused.value.exceptions
+    assert "sim = {} to join it as it is" in str(mistake)
+
+    files.change(files.rover, "[network]", "[network]\nsim = {}")
+    assert load(files.rover, simulated=True).buses.keys() == {"base"}
+
+    end = "tcp/127.0.0.1:9"
+    files.change(files.rover, "sim = {}", f"sim = {{ connect = ['{end}'] }}")
+    bus: Any = load(files.rover, simulated=True).buses["base"]
+    assert bus.network.connect == (end,)
+    files.change(files.rover, end, "here")
+    (found,) = check(files.rover).findings
+    assert (found.key, found.only_simulated) == ("network.connect", True)
 
 
 async def docked(drive: Any) -> None:

@@ -287,7 +287,8 @@ def has_simulation(tables: Mapping[str, Any]) -> bool:
     """Tell whether a file says what stands for some part of it in a simulation."""
     kinds = (tables.get(each) for each in ("bus", "sensor", "actuator"))
     parts = (part for kind in kinds if isinstance(kind, dict) for part in kind.values())
-    return any(isinstance(part, dict) and "sim" in part for part in parts)
+    every = (tables.get("network"), *parts)
+    return any(isinstance(part, dict) and "sim" in part for part in every)
 
 
 def _found(draft: Draft, robot_class: type) -> list[FoundInFile]:

@@ -18,7 +18,7 @@ from esair.config._components import construct
 from esair.config._draft import Draft, Part, Variant
 from esair.config._mistakes import below, dotted, unknown
 from esair.config._source import Source
-from esair.config._tables import named_tables
+from esair.config._tables import named_tables, variant_of
 from esair.config._values import INVALID
 from esair.plan import inner_of
 from esair.resources import Sensor
@@ -28,6 +28,10 @@ TABLES: Final = frozenset({"network", "remote", "share"})
 
 _DRIVERS: Final = "esair.drivers.peer"
 _ACCESS: Final = {"sensor": "read", "actuator": "write", "behavior": "ask"}
+_JOINS: Final = (
+    "the simulation would join the real network, and move real peers: expected "
+    "sim = { ... } with what replaces its keys (sim = {} to join it as it is)"
+)
 
 
 @attrs.frozen
@@ -83,12 +87,13 @@ def read_peers(draft: Draft) -> Peers | None:
         return None
     from esair.buses.peer import Network
 
-    table = dict(source.data["network"])
-    name = table.pop("name", draft.robot["name"])
-    me = source.convert(name, str, "network.name")
+    variant = variant_of(draft, "network", source.data["network"], "driver")
+    if draft.simulated and not variant.is_simulated:
+        source.mistakes.add("network", _JOINS)
+    name = variant.table.pop("name", draft.robot["name"])
+    me = source.convert(name, str, variant.keys.get("name", "network.name"))
     shared = (each for share in shares.values() for each in share.to)
     names = tuple(dict.fromkeys([*remotes, *shared]))
-    variant = Variant(table, {each: below("network", each) for each in table})
     given = {"me": me, "peers": names}
     network = construct(source, Network, str(me), "network", variant, given=given)
     for peer in names:
