@@ -8,7 +8,7 @@ import pytest
 from tests.net.parts import STILL, Dock, Docked, Hand, Pair, Twist
 
 import esair
-from esair.drivers.peer import PeerActuator
+from esair.drivers.peer import PeerActuator, PeerSensor
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -33,7 +33,6 @@ async def test_a_remote_part_is_read_and_written_by_its_local_name() -> None:
     assert pair.wheels.commands[-1] == STILL
 
 
-@pytest.mark.promise("NET-2")
 @pytest.mark.promise("ROB-4")
 async def test_a_slew_begins_where_the_remote_part_was_let_go(monkeypatch) -> None:
     """Its owner says where that is: at the start, and after each pause."""
@@ -46,6 +45,30 @@ async def test_a_slew_begins_where_the_remote_part_was_let_go(monkeypatch) -> No
             assert pair.wheels.commands[-1] == written.command
             await asyncio.sleep(1.0)
             assert pair.wheels.commands[-1] == STILL
+
+
+@pytest.mark.promise("NET-2")
+async def test_a_remote_sensor_with_two_names_is_live_under_both() -> None:
+    """Each is opened, heard and lost by itself; it is sent as often as one wants it."""
+    pair = Pair()
+    second = PeerSensor(
+        name="second", remote="sonar", bus=pair.to_base, type=float, link_rate=5.0
+    )
+
+    class Both(Hand):
+        other = esair.reads(float, name="second")
+
+    hand = Both(name="hand")
+    async with pair.base(), pair.rover(hand, resources=[second]) as rover:
+        await asyncio.sleep(0.3)
+        for step in range(20):
+            pair.sonar.feed(float(step))
+            await asyncio.sleep(0.05)
+            assert (await hand.sonar.read(), await hand.other.read()) == (step, step)
+        await rover.resources.remove("second")
+        pair.sonar.feed(50.0)
+        await asyncio.sleep(0.05)
+        assert await hand.sonar.read() == 50.0
 
 
 async def test_ask() -> None:

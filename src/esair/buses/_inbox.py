@@ -25,7 +25,7 @@ class Inbox(Generic[T]):
     """
 
     def __init__(
-        self, limit: int, forget: Callable[[Inbox[T]], None] = lambda _inbox: None
+        self, limit: int, forget: Callable[[Inbox[T]], object] = lambda _inbox: None
     ) -> None:
         if type(limit) is not int or limit < 1:
             raise BadValueError(

@@ -109,6 +109,7 @@ class Sharing(Behavior):
     async def setup(self) -> None:
         """Take what the peer says from now on."""
         self._feeds: dict[str, asyncio.Task[None]] = {}
+        self._pauses: dict[str, float] = {}
         self._asks: dict[int, asyncio.Task[None]] = {}
         self._missing: set[int] = set()
         self._said_at: dict[str, float] = {}
@@ -247,15 +248,16 @@ class Sharing(Behavior):
             if share is None or share.access != "read" or not good:
                 told = f"{name!r:.80} is not shared with {self.name!r}"
                 self.bus.say("gone", str(name), told)
-            elif name not in self._feeds:
-                pause = 1.0 / min(rate, share.rate)
-                self._feeds[name] = tasks.create_task(self._feed(name, pause))
+                continue
+            self._pauses[name] = 1.0 / min(rate, share.rate)
+            if name not in self._feeds:
+                self._feeds[name] = tasks.create_task(self._feed(name))
             elif now() - self._said_at.get(name, -math.inf) > QUIET:
                 # What a sensor has pushed last may be lost in a gap.
                 with contextlib.suppress(EsairError):
                     self._send(name, getattr(self, f"the_{name}").newest)
 
-    async def _feed(self, name: str, pause: float) -> None:
+    async def _feed(self, name: str) -> None:
         port = getattr(self, f"the_{name}")
         try:
             if not self._is_there(name):
@@ -265,7 +267,7 @@ class Sharing(Behavior):
                 self._send(name, port.newest)
             async for _ in port:
                 self._send(name, port.newest)
-                await asyncio.sleep(pause)
+                await asyncio.sleep(self._pauses[name])
         except EsairError as error:
             self.bus.say("gone", name, describe(error))
             self._feeds.pop(name, None)

@@ -113,7 +113,7 @@ class PeerBus(Bus):
         self._beating: asyncio.Task[None] | None = None
         self._numbers = itertools.count(secrets.randbits(31) << 20)
         self._pending: dict[int, _Request] = {}
-        self._followed: dict[str, tuple[float, Inbox[Any]]] = {}
+        self._followed: dict[Inbox[Any], tuple[str, float]] = {}
         self._heard: dict[str, tuple[float, float, Any]] = {}
         """Of each sensor when it was heard last, when that was measured, and what."""
 
@@ -187,6 +187,7 @@ class PeerBus(Bus):
     def lost(self, error: BaseException) -> None:
         """Tell everybody on the bus, and whoever waits for an answer."""
         super().lost(error)
+        self._heard.clear()
         for each in self._pending.values():
             fail(each.outcome, DeviceLostError(self.name, describe(error)))
 
@@ -316,23 +317,28 @@ class PeerBus(Bus):
             else:
                 request.progress(parts[1])
         else:
-            wanted = self._followed.get(parts[0])
-            if wanted is None:
+            wanted = [
+                inbox for inbox, (name, _) in self._followed.items() if name == parts[0]
+            ]
+            heard = self._heard.get(parts[0])
+            if not wanted:
                 self.stats.unheard += 1
             elif what == "gone":
-                wanted[1].offer(
-                    DeviceLostError(self.name, parts[1]) if parts[1] else None
-                )
+                self._heard.pop(parts[0], None)
+                for inbox in wanted:
+                    told = DeviceLostError(self.name, parts[1]) if parts[1] else None
+                    inbox.offer(told)
             elif sent > NEVER:
                 # It was measured no earlier than that, however long each way was.
                 now = asyncio.get_running_loop().time()
-                at, heard = min(now, sent - parts[1]), self._heard.get(parts[0])
+                at = min(now, sent - parts[1])
                 if heard is not None:
                     at = max(at, heard[1])  # they come in the order of measurement
-                said = (now, at, parts[2])
+                said = now, at, parts[2]
                 if heard is None or not _is_again(heard, said):
                     self._heard[parts[0]] = said
-                    wanted[1].offer(Stamped(parts[2], at))
+                    for inbox in wanted:
+                        inbox.offer(Stamped(parts[2], at))
 
     # What is said.
 
@@ -394,19 +400,21 @@ class PeerBus(Bus):
 
     def follow(self, sensor: str, rate: float) -> Inbox[Any]:
         """Ask for the readings of a sensor, until the inbox is closed."""
-
-        def forget(inbox: Inbox[Any]) -> None:
-            if self._followed.get(sensor, (0.0, None))[1] is inbox:
-                del self._followed[sensor]
-
-        self._heard.pop(sensor, None)
-        inbox: Inbox[Any] = Inbox(_READINGS, forget)
-        self._followed[sensor] = rate, inbox
+        inbox: Inbox[Any] = Inbox(_READINGS, lambda it: self._followed.pop(it, None))
+        if sensor not in self._wanted():
+            self._heard.pop(sensor, None)
+        elif (heard := self._heard.get(sensor)) is not None:
+            inbox.offer(Stamped(heard[2], heard[1]))
+        self._followed[inbox] = sensor, rate
         self._tell_followed()
         return inbox
 
+    def _wanted(self) -> dict[str, float]:
+        """Return how often each sensor is wanted by whoever wants it most often."""
+        return dict(sorted(self._followed.values()))
+
     def _tell_followed(self) -> None:
-        self.say("follow", {name: rate for name, (rate, _) in self._followed.items()})
+        self.say("follow", self._wanted())
 
     def serve(self, serve: Serve | None) -> None:
         """Hand what the peer asks for here to a function; None to hand on nothing."""
