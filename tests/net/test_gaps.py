@@ -518,6 +518,31 @@ async def test_what_a_peer_moved_is_safe_when_it_lets_go(way: str) -> None:
         assert pair.wheels.commands[-1] == STILL
 
 
+@pytest.mark.promise("ROB-2", "OPS-3", "NET-2")
+@pytest.mark.parametrize("way", ["halt", "end"])
+async def test_what_is_let_go_in_a_gap_is_not_told_as_answered(way: str) -> None:
+    """Only its owner can say so; it is let go when the gap is over."""
+    pair, hand = Pair(), Hand()
+    pair.wheels = FakeActuator("wheels", safe=STILL, command_timeout=2.0)
+    async with pair.base(), pair.rover(hand) as rover:
+        await asyncio.sleep(0.3)
+        assert await hand.wheels.write(Twist(0.3, 0.0))
+        pair.network.cut("base")
+        if way == "end":
+            await rover.stop("enough")
+            (told,) = rover.stopped
+        else:
+            (told,) = await rover.halt("enough")
+            await asyncio.sleep(0.2)
+            state = rover.resources.query("far_wheels").state
+            assert state is esair.ResourceState.READY
+            pair.network.heal()
+            await asyncio.sleep(0.1)
+            assert pair.wheels.commands[-1] == STILL
+        assert (told.safe, told.answered) == (True, False)
+        assert "no answer" in told.error
+
+
 @pytest.mark.promise("NET-3", "BS-10")
 async def test_who_waits_for_a_peer_that_is_taken_away_hears_of_it() -> None:
     """What came of the request nobody knows: it waits for nothing."""

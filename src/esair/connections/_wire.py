@@ -545,6 +545,10 @@ class SafeCommand:
         if type(applied) is Call:
             applied = await self._outcome(applied)
         if opening == calls.opening and calls is device.calls:
+            if isinstance(applied, Refused):  # nobody knows whether it came there
+                told.error = applied.rule
+                wire.unknown()
+                return
             told.error = ""
             wire.took(command, applied)
             if wire.watch is not None:

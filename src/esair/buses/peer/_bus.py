@@ -113,6 +113,8 @@ class PeerBus(Bus):
         self._beating: asyncio.Task[None] | None = None
         self._numbers = itertools.count(secrets.randbits(31) << 20)
         self._pending: dict[int, _Request] = {}
+        self._releases: dict[str, int] = {}
+        """Of each actuator the release that has no answer yet."""
         self._followed: dict[Inbox[Any], tuple[str, float]] = {}
         self._heard: dict[str, tuple[float, float, Any]] = {}
         """Of each sensor when it was heard last, when that was measured, and what."""
@@ -188,6 +190,7 @@ class PeerBus(Bus):
         """Tell everybody on the bus, and whoever waits for an answer."""
         super().lost(error)
         self._heard.clear()
+        self._releases.clear()
         for each in self._pending.values():
             fail(each.outcome, DeviceLostError(self.name, describe(error)))
 
@@ -237,8 +240,8 @@ class PeerBus(Bus):
             self._its_beat, self._beat_at = head.beat, now
             if what != "bye" and (silent > 2.0 * BEAT or not self._alive.is_set()):
                 self.say("beat")  # it waits for an echo of what it says now
-                if self._alive.is_set() and self._followed:
-                    self._tell_followed()  # what was said in the gap is said again
+                if self._alive.is_set():
+                    self._say_again()
         if head.echo_run == self._run and head.echo > self._beats:
             # A number came there that was never sent: count on from it, or what is
             # sent from now on stays unheard.
@@ -361,6 +364,13 @@ class PeerBus(Bus):
         self._send(what, data)
         return True
 
+    def _say_again(self) -> None:
+        """Say what may have been lost in a gap."""
+        if self._followed:
+            self._tell_followed()
+        for name, number in self._releases.items():
+            self.say("release", number, name)
+
     async def request(
         self,
         what: str,
@@ -385,11 +395,19 @@ class PeerBus(Bus):
         if what == "write" and (silent := self.silence()) > patience:
             return "silent", silent
         number = next(self._numbers)
+        if what == "release":
+            self._releases[parts[0]] = number
+        elif what == "write":
+            self._releases.pop(parts[0], None)
         outcome = asyncio.get_running_loop().create_future()
         self._pending[number] = _Request(outcome, patience, progress, what == "ask")
         try:
             self.say(what, number, *parts)
-            return await within(outcome, None if patience == math.inf else patience)
+            limit = None if patience == math.inf else patience
+            how, value = await within(outcome, limit)
+            if what == "release" and how != "silent":
+                self._releases.pop(parts[0], None)
+            return how, value
         except TimeoutError:
             return "silent", patience
         except asyncio.CancelledError:

@@ -201,16 +201,13 @@ class PeerActuator(Actuator[Any]):
     async def open(self) -> None:
         """Begin anew: whether it is shared says the answer to the first release."""
         self._is_known = False
-        self._rest: Any = None
-        """Where its owner has said that it stays when it was released last."""
 
     async def write(self, command: Any) -> Any:
         """Send a command with the newest beat heard, and wait for what its owner says.
 
         Returns:
             What was applied there, or a refusal with the holder there; a refusal of the
-            peer where nothing was heard for longer than the command time-out. Of what is
-            let go: what it was told there then, if its owner says that.
+            peer where nothing was heard for longer than the command time-out.
 
         Raises:
             DeviceLostError: The peer is lost, or does not share it.
@@ -223,19 +220,14 @@ class PeerActuator(Actuator[Any]):
         )
         now = clock_of(asyncio.get_running_loop())()
         match how, value:
-            case "silent", _ if command is HOLD:
-                if not self._is_known:
-                    told = f"{bus.name!r} says nothing of {self.remote!r}"
-                    raise DeviceLostError(self.name, told)
-                return self._rest  # its owner lets it go by itself
+            case "silent", _ if not self._is_known:
+                told = f"{bus.name!r} says nothing of {self.remote!r}"
+                raise DeviceLostError(self.name, told)
             case "silent", float(seconds):
                 told = f"no answer for {seconds:.2g} s: what came of it is unknown"
                 return Refused(bus.name, 0, told, now - seconds, None)
-            case "written", _ if command is HOLD:
-                self._is_known = True
-                self._rest = value if fits(value, self._type) else None
-                return self._rest
             case "written", _ if value is None or fits(value, self._type):
+                self._is_known = True
                 return value
             case "refused", (
                 str(holder),
