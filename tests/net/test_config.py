@@ -14,6 +14,7 @@ import esair
 from esair.cli._peers import of_status
 from esair.config import check, check_together, load
 from esair.seat import Status
+from esair.seat._operator import Console
 
 PARTS = """
 import asyncio
@@ -245,7 +246,7 @@ async def test_two_files_are_two_robots(files: Files) -> None:
     base: Any = esair.Robot.from_config(files.base)
     rover: Any = esair.Robot.from_config(files.rover)
     async with base, rover:
-        drive = rover.behaviors.action("drive")
+        drive: Any = rover.behaviors.action("drive")
         await docked(drive)
         parts = sys.modules[files.module]
         assert parts.Wheels.told[-1] == parts.Twist(0.1 * 0.7, 0.0)
@@ -261,3 +262,26 @@ async def test_two_files_are_two_robots(files: Files) -> None:
         (told,) = of_status(Status(rover, loop).picture())
         assert told["used"] == ["sonar: ready", "wheels: ready"]
         assert 0.0 <= told["round_trip"] < 0.5
+
+
+@pytest.mark.promise("OPS-2", "NET-2")
+@pytest.mark.real_clock
+async def test_what_the_file_has_of_a_peer_can_be_put_in_its_place(
+    files: Files,
+) -> None:
+    """It is on the bus that there is: what was added or replaced works at once."""
+    pytest.importorskip("zenoh")
+    base: Any = esair.Robot.from_config(files.base)
+    rover: Any = esair.Robot.from_config(files.rover)
+    async with base, rover:
+        drive: Any = rover.behaviors.action("drive")
+        await docked(drive)
+        for robot, name in ((base, "rover"), (rover, "docking"), (rover, "wheels")):
+            console = Console(robot)
+            part = await console.part(name)
+            await console.owner_of(part).replace(name, part)
+        drive.docked = None
+        told = sys.modules[files.module].Wheels.told
+        told.clear()
+        await docked(drive)
+        assert any(each.linear > 0.0 for each in told)

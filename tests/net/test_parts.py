@@ -9,6 +9,7 @@ from tests.net.parts import STILL, Dock, Docked, Hand, Pair, Twist
 
 import esair
 from esair.drivers.peer import PeerActuator, PeerSensor
+from esair.peers import Sharing
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -69,6 +70,21 @@ async def test_a_remote_sensor_with_two_names_is_live_under_both() -> None:
         pair.sonar.feed(50.0)
         await asyncio.sleep(0.05)
         assert await hand.sonar.read() == 50.0
+
+
+@pytest.mark.promise("SUP-2", "NET-2")
+async def test_what_a_peer_may_do_is_exchanged_while_it_does_it() -> None:
+    """Who stands for the peer then serves it: it reads, writes and asks as before."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand) as (base, _):
+        pair.docking.go.set()
+        again = Sharing(bus=pair.to_rover, shares=pair.shares)
+        await base.behaviors.replace("rover", again)
+        pair.sonar.feed(0.4)
+        await asyncio.sleep(0.2)
+        assert await hand.sonar.read() == 0.4
+        assert await hand.wheels.write(Twist(0.3, 0.0))
+        assert await hand.ask("far_docking", Dock(2)) == Docked(2)
 
 
 async def test_ask() -> None:

@@ -128,6 +128,10 @@ class Bus(abc.ABC):
         self._watched: Callable[[], None] | None = None
         """What is called when what is looked out for happens."""
 
+    def adopt(self, part: Any) -> None:
+        """Have a part that was made for another bus of this name."""
+        part.bus = self
+
     @property
     def outlet(self) -> Outlet | None:
         """Where the watchdog sends safe frames; None if it cannot reach this bus."""

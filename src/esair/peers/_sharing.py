@@ -118,12 +118,13 @@ class Sharing(Behavior):
             name: asyncio.Queue(_WAITING) for name in self._all("write")
         }
         # It comes in by the door, and is kept: a recording repeats without a network.
-        news = News(asyncio.get_running_loop(), ("peer", self.name), self._sort)
-        self.bus.serve(news.tell)
+        loop = asyncio.get_running_loop()
+        self._news = News(loop, ("peer", self.name), self._sort)
+        self.bus.serve(self._news.tell)
 
     async def teardown(self) -> None:
         """Take no more."""
-        self.bus.serve(None)
+        self.bus.serve_no_more(self._news.tell)
 
     def _sort(self, what: str, since: float, body: bytes) -> None:
         """Take what came in: it is sorted, and nothing of it has any effect yet."""

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import attrs
 
 from esair import config
+from esair.buses import Bus
 from esair.connections import Registration
 from esair.exceptions import (
     AccessDeniedError,
@@ -322,9 +323,12 @@ class Console:
             hint = hint_for(name, sorted(parts), "it has")
             raise ConfigError(name, "", f"{path} has no such part{hint}")
         part = parts[name]
-        if isinstance(part, Resource) and part.bus is not None:
-            same = (b for b in self.robot.resources.buses if b.name == part.bus.name)
-            part.bus = next(same, part.bus)  # one owner for each bus
+        for bus in self.robot.resources.buses:  # one owner for each
+            if (
+                isinstance(of := getattr(part, "bus", None), Bus)
+                and bus.name == of.name
+            ):
+                bus.adopt(part)
         return part
 
     # Inside.

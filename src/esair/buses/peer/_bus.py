@@ -129,6 +129,11 @@ class PeerBus(Bus):
             for each in (kind, *(declared(kind) if isinstance(kind, type) else ())):
                 kinds.add(each)
 
+    def adopt(self, part: Any) -> None:
+        """Have a part that was made for another bus of this name, and its classes."""
+        self._undeclared += part.bus._undeclared  # noqa: SLF001 - of this class
+        super().adopt(part)
+
     # Its life: it beats from the first opening to its end, whether the peer is there or not.
 
     async def _open(self) -> None:
@@ -284,6 +289,7 @@ class PeerBus(Bus):
         elif not self.is_open:
             self.stats.unheard += 1
         elif what == "ready":
+            self._say_again()
             for listener in tuple(self._on_arrival):
                 listener()
         elif (parts := self.parts(what, body)) is not None:
@@ -434,11 +440,16 @@ class PeerBus(Bus):
     def _tell_followed(self) -> None:
         self.say("follow", self._wanted())
 
-    def serve(self, serve: Serve | None) -> None:
-        """Hand what the peer asks for here to a function; None to hand on nothing."""
+    def serve(self, serve: Serve) -> None:
+        """Hand what the peer asks for here to a function."""
         self._serve = serve
-        if serve is not None and self._alive.is_set():
+        if self._alive.is_set():
             self.say("ready")
+
+    def serve_no_more(self, serve: Serve) -> None:
+        """Hand on nothing to a function any more, unless another one serves now."""
+        if self._serve == serve:
+            self._serve = None
 
 
 def _is_again(heard: tuple[float, float, Any], now: tuple[float, float, Any]) -> bool:
