@@ -11,6 +11,7 @@ import pytest
 from tests.net.parts import STILL, Dock, Hand, Pair, Twist
 
 import esair
+from esair import ResourceState
 from esair.buses.peer import PeerBus
 from esair.buses.peer._wire import Head, packed
 from esair.testing import FakeActuator, FakeSensor
@@ -592,6 +593,41 @@ async def test_a_change_that_falls_into_a_gap_is_heard_after_it(gap: float) -> N
         assert heard[-1] == 0.3
         await asyncio.sleep(3.0)
         assert heard.count(0.3) == 1
+
+
+@pytest.mark.promise("RES-3", "NET-2")
+@pytest.mark.parametrize("writes", [False, True])
+@pytest.mark.parametrize("way", ["from the start", "unplugged", "removed"])
+async def test_an_actuator_that_is_lost_there_is_lost_here(
+    way: str, writes: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """With the reason that its owner has, as long as that has it, and told once."""
+    caplog.set_level("INFO")
+    pair, driving = Pair(), Driving()
+    if way == "from the start":
+        pair.wheels.unplug()
+    drives = (driving,) if writes else ()
+    async with pair.base() as base, pair.rover(*drives) as rover:
+        await asyncio.sleep(1.0)
+        if way == "unplugged":
+            pair.wheels.unplug()
+            await base.resources.restart("wheels")
+        elif way == "removed":
+            await base.resources.remove("wheels")
+        await asyncio.sleep(0.5)
+        for _ in range(100):
+            status = rover.resources.query("far_wheels")
+            assert status.state is not ResourceState.READY
+            assert "'base' says: " in str(status.error)
+            await asyncio.sleep(0.13)
+        told = [each for each in caplog.messages if each.startswith("far_wheels:")]
+        assert len(told) == 1
+        if way == "removed":
+            again = FakeActuator("wheels", safe=STILL)
+            await base.resources.add(again)
+        pair.wheels.plug()
+        await asyncio.sleep(8.0)  # its owner looks for it after a pause
+        assert rover.resources.query("far_wheels").state is ResourceState.READY
 
 
 @pytest.mark.promise("RES-3", "NET-2")

@@ -403,18 +403,17 @@ class ActuatorPort(Port[T]):
         self._channel.release(self.registration)
         return DONE
 
-    async def _let_go(self) -> tuple[bool, Any]:
+    async def _let_go(self) -> bool:
         """Give it back, and make it safe if what it does is this port's will.
 
-        Tells, when that is done, whether the device has answered, if it was told so,
-        and where it is then.
+        Tells, when that is done, whether the device has answered, if it was told so.
         """
         channel = self._channel
         channel.release(self.registration)
         channel.drop(self.registration)
         await channel.safe.settled()
         told = channel.told()
-        return told.answered or not told.safe, channel.wire.told.place
+        return told.answered or not told.safe
 
     def why(self) -> Why:
         """Tell who holds the actuator, by which rule, and what would free it."""

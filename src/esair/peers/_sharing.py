@@ -201,15 +201,14 @@ class Sharing(Behavior):
         while True:
             what, since, number, name, *rest = await queue.get()
             if what == "release":
-                is_told, place = await port._let_go()  # noqa: SLF001 - for a peer alone
-                if is_told:
-                    try:
-                        self.bus.say("answer", number, "written", place)
-                    except BadValueError:  # it is none of what is shared
-                        self.bus.say("answer", number, "written", None)
+                took = await port._let_go()  # noqa: SLF001 - for nobody but a peer
+                if not self._is_there(name):
+                    self._answer(number, "lost", self._why_gone(name))
+                elif took:
+                    self._answer(number, "written", None)
                 else:
-                    how = "failed" if self._is_there(name) else "lost"
-                    self._answer(number, how, "it did not take its safe command")
+                    told = "it did not take its safe command"
+                    self._answer(number, "failed", told)
                 continue
             # Judged when it leaves: it may wait behind a slow call of another writer.
             expires = since + port.command_timeout
@@ -281,12 +280,19 @@ class Sharing(Behavior):
     def _is_there(self, name: str) -> bool:
         return bool(getattr(self, f"the_{name}").state is ResourceState.READY)
 
+    def _why_gone(self, name: str) -> str:
+        error = getattr(self, f"the_{name}")._channel.error  # noqa: SLF001
+        return describe(error or DeviceLostError(name))
+
     async def _look(self) -> None:
-        """Tell the peer when something is there again."""
+        """Tell the peer which actuators are gone, and when something is there again."""
         used = self._all("read", "write")
         lost: set[str] = set()
         while True:
             gone = {name for name in used if not self._is_there(name)}
+            for name in self._commands:
+                if name in gone:
+                    self.bus.say("gone", name, self._why_gone(name))
             if lost - gone:
                 self.bus.say("ready")
             lost = gone

@@ -116,6 +116,8 @@ class PeerBus(Bus):
         self._releases: dict[str, int] = {}
         """Of each actuator the release that has no answer yet."""
         self._followed: dict[Inbox[Any], tuple[str, float]] = {}
+        self.when_gone: dict[Callable[[str, str], object], None] = {}
+        """Called with the name of what its owner has no more, and why."""
         self._heard: dict[str, tuple[float, float, Any]] = {}
         """Of each sensor when it was heard last, when that was measured, and what."""
 
@@ -326,12 +328,15 @@ class PeerBus(Bus):
             else:
                 request.progress(parts[1])
         else:
+            if what == "gone":
+                for listener in tuple(self.when_gone):
+                    listener(*parts)
             wanted = [
                 inbox for inbox, (name, _) in self._followed.items() if name == parts[0]
             ]
             heard = self._heard.get(parts[0])
             if not wanted:
-                self.stats.unheard += 1
+                self.stats.unheard += what != "gone"
             elif what == "gone":
                 self._heard.pop(parts[0], None)
                 for inbox in wanted:

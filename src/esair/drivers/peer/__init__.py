@@ -201,6 +201,16 @@ class PeerActuator(Actuator[Any]):
     async def open(self) -> None:
         """Begin anew: whether it is shared says the answer to the first release."""
         self._is_known = False
+        self.bus.when_gone[self._hear_gone] = None
+
+    async def close(self) -> None:
+        """Hear no more of it."""
+        self.bus.when_gone.pop(self._hear_gone, None)
+
+    def _hear_gone(self, name: str, why: str) -> None:
+        if name == self.remote:
+            told = f"{self.bus.name!r} says: {why}"
+            self.report_lost(DeviceLostError(self.name, told))
 
     async def write(self, command: Any) -> Any:
         """Send a command with the newest beat heard, and wait for what its owner says.
