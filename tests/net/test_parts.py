@@ -87,6 +87,35 @@ async def test_what_a_peer_may_do_is_exchanged_while_it_does_it() -> None:
         assert await hand.ask("far_docking", Dock(2)) == Docked(2)
 
 
+class Slowly(esair.Reaction):
+    """A guard that lets a quarter pass."""
+
+    sonar = esair.reads(float, name="far_sonar")
+    wheels = esair.guards(Twist, name="far_wheels")
+
+    def react(self, sonar: float, wheels: Twist) -> Twist:
+        return Twist(wheels.linear * min(1.0, sonar), wheels.angular)
+
+
+@pytest.mark.promise("PRO-6", "PRO-7", "NET-2")
+async def test_a_guard_lets_less_pass_to_a_remote_actuator() -> None:
+    """As to a local one: what is safe at its owner is the least; more is its crash."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand, Slowly()):
+        pair.sonar.feed(0.25)
+        await asyncio.sleep(0.2)
+        written = await hand.wheels.write(Twist(0.8, 0.0))
+        assert (written.command, written.by) == (Twist(0.2, 0.0), "slowly")
+        assert pair.wheels.commands[-1] == Twist(0.2, 0.0)
+        pair.sonar.feed(0.1)
+        await asyncio.sleep(0.1)
+        assert abs(pair.wheels.commands[-1].linear - 0.08) < 1e-9  # what stands, too
+        pair.sonar.feed(-1.0)
+        await asyncio.sleep(0.1)
+        assert not await hand.wheels.write(Twist(0.8, 0.0))
+        assert pair.wheels.commands[-1] == STILL
+
+
 async def test_ask() -> None:
     pair, hand = Pair(), Hand()
     async with pair.both(hand) as (_base, _rover):

@@ -547,9 +547,12 @@ class SafeCommand:
         if opening == calls.opening and calls is device.calls:
             if isinstance(applied, Refused):  # nobody knows whether it came there
                 told.error = applied.rule
+                told.base = told.base if wire.still is HOLD else wire.still
                 wire.unknown()
                 return
             told.error = ""
+            if getattr(actuator, "lets_go", False) and applied is not None:
+                wire.still = applied
             wire.took(command, applied)
             if wire.watch is not None:
                 wire.watch.is_safe()

@@ -28,6 +28,7 @@ from esair.exceptions import (
 )
 from esair.loop import News, now
 from esair.messages import Refused, ResourceState
+from esair.resources import HOLD
 
 _WAITING: Final = 4
 """How many commands of a peer may wait for one actuator."""
@@ -205,7 +206,7 @@ class Sharing(Behavior):
                 if not self._is_there(name):
                     self._answer(number, "lost", self._why_gone(name))
                 elif took:
-                    self._answer(number, "written", None)
+                    self._released(number, port._channel.wire.still)  # noqa: SLF001
                 else:
                     told = "it did not take its safe command"
                     self._answer(number, "failed", told)
@@ -220,6 +221,12 @@ class Sharing(Behavior):
                 self._answer(number, "failed", describe(error))
             else:
                 self._tell(number, written, expires)
+
+    def _released(self, number: int, safe: Any) -> None:
+        try:
+            self.bus.say("answer", number, "written", None if safe is HOLD else safe)
+        except BadValueError:  # it is of a class that does not cross
+            self.bus.say("answer", number, "written", None)
 
     def _tell(self, number: int, written: Any, expires: float) -> None:
         if not isinstance(written, Refused):

@@ -26,6 +26,7 @@ from esair.buses import Inbox
 from esair.buses.peer import PeerBus
 from esair.drivers.object import imported
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.flaws import unsound
 from esair.loop import clock_of
 from esair.messages import Refused
 from esair.resources import HOLD, Actuator, ActuatorSettings, Sensor, SensorSettings
@@ -170,7 +171,8 @@ class PeerActuator(Actuator[Any]):
 
     There this robot is one of its writers, with the priority and the rights of the share.
     What makes it safe here lets it go there: then its owner decides, and makes it safe
-    when nobody else moves it.
+    when nobody else moves it. Its owner tells what it is then told: guards here let less
+    pass than was asked for, and a slew begins there.
 
     Args:
         type: The type of its commands, also as ``"module:Class"``; plain data unless given.
@@ -181,6 +183,8 @@ class PeerActuator(Actuator[Any]):
     safe: Any = HOLD
     own_timeout: float | None = 0.2
     deadline: float = 0.5
+    lets_go: Final = True
+    """What it answers to `esair.HOLD` is the safe command of the device."""
 
     def __init__(
         self,
@@ -216,8 +220,9 @@ class PeerActuator(Actuator[Any]):
         """Send a command with the newest beat heard, and wait for what its owner says.
 
         Returns:
-            What was applied there, or a refusal with the holder there; a refusal of the
-            peer where nothing was heard for longer than the command time-out.
+            What was applied there, or is safe there; or a refusal with the holder there.
+            A refusal of the peer where nothing was heard for longer than the command
+            time-out.
 
         Raises:
             DeviceLostError: The peer is lost, or does not share it.
@@ -236,8 +241,10 @@ class PeerActuator(Actuator[Any]):
             case "silent", float(seconds):
                 told = f"no answer for {seconds:.2g} s: what came of it is unknown"
                 return Refused(bus.name, 0, told, now - seconds, None)
-            case "written", _ if value is None or fits(value, self._type):
+            case "written", _ if command is HOLD:
                 self._is_known = True
+                return value if fits(value, self._type) and not unsound(value) else None
+            case "written", _ if value is None or fits(value, self._type):
                 return value
             case "refused", (
                 str(holder),
