@@ -116,6 +116,25 @@ async def test_a_guard_lets_less_pass_to_a_remote_actuator() -> None:
         assert pair.wheels.commands[-1] == STILL
 
 
+@pytest.mark.promise("BS-4", "NET-2")
+async def test_data_is_neither_put_to_nor_got_from_another_robot() -> None:
+    """It is refused at once, with what to do: nobody there would ever get it."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand) as (base, rover):
+        loop = asyncio.get_running_loop()
+        began = loop.time()
+        with pytest.raises(esair.RefusedError, match="ask it"):
+            await hand.put("far_docking", {"bay": 2})
+        with pytest.raises(esair.RefusedError, match="ask it"):
+            await hand.get("far_docking")
+        with pytest.raises(esair.RefusedError, match="ask it"):
+            await rover.behaviors.put(1, sender="user", receiver="far_docking")
+        with pytest.raises(esair.RefusedError, match="do not cross"):
+            await base.behaviors.put(1, sender="user", receiver="rover")
+        assert loop.time() == began
+        assert not rover.behaviors.query("far_docking").can_receive
+
+
 async def test_ask() -> None:
     pair, hand = Pair(), Hand()
     async with pair.both(hand) as (_base, _rover):

@@ -6,7 +6,7 @@ import asyncio
 import itertools
 from collections.abc import Iterable
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 from esair.actions import Behavior, Request, answer_type, declared_requests, takes
 from esair.buses.peer import PeerBus
@@ -31,6 +31,7 @@ class PeerBehavior(Behavior):
 
     bus: PeerBus
     remote: str
+    asked_alone: Final = "put and get do not cross to another robot: ask it"
 
     async def setup(self) -> None:
         """Let the progress cross."""

@@ -90,6 +90,8 @@ class Sharing(Behavior):
         shares: What it may use.
     """
 
+    asked_alone: Final = "put and get do not cross to another robot"
+
     def __init__(self, *, bus: PeerBus, shares: Iterable[Share]) -> None:
         self.shares: dict[str, Share] = {each.name: each for each in shares}
         super().__init__(

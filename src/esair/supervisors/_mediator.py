@@ -99,7 +99,8 @@ class Mailbox:
         self.askers = RequestQueue(self, "provide")
         self.budget = Budget.of(asyncio.get_running_loop())
         if isinstance(self.action, Behavior):
-            self.room = self.action.inbox_size
+            asked_alone = getattr(self.action, "asked_alone", "")
+            self.room = 0 if asked_alone else self.action.inbox_size
             if takes := self.action.takes:
                 good = [each for each in takes.values() if isinstance(each, Takes)]
                 self.queues = {each.type: OrderQueue(self, each) for each in good}
@@ -140,6 +141,15 @@ class Mailbox:
         """
         if self.seat is not None:
             self.seat.pack(verb, data)
+
+    def check_carries(self) -> None:
+        """Pass if data can be put there, and got from there: not at another robot.
+
+        Raises:
+            RefusedError: It can be asked alone.
+        """
+        if told := getattr(self.action, "asked_alone", ""):
+            raise RefusedError(told, self.name)
 
     def check_speaker(self) -> None:
         """Pass if the code that runs now may act in the name of the behavior."""
@@ -477,6 +487,7 @@ class Mediator(Ledger):
             member.deliver(data, sender)
             self.record("put", sender, receiver, _DELIVERED, data)
             return
+        member.check_carries()
         request = Request("put", data, sender, member.senders, by, self)
         self._begin(request, interval)
         await request.outcome()
@@ -510,6 +521,7 @@ class Mediator(Ledger):
         offered = self.take(sender, receiver, float(interval))
         if offered is not NOTHING:
             return offered
+        member.check_carries()
         request = Request("get", None, receiver, member.askers, by, self)
         path = circle_of_get(receiver, sender, self.boxes, self.of_asker)
         self._begin(request, interval, path)
