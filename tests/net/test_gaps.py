@@ -367,6 +367,34 @@ async def test_a_restarted_owner_moves_by_nothing_from_before() -> None:
             assert max(at - told.linear for at, told in moved) < TIMEOUT
 
 
+@pytest.mark.promise("NET-3", "NET-4")
+async def test_a_second_robot_of_one_name_shuts_the_first_out_for_its_time(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Both sides say what is wrong; the one that stays is heard again, and drives."""
+    pair, driving = Pair(), Driving()
+
+    def say(what: str, beat: int) -> None:
+        bus = pair.to_rover
+        head = Head(77, beat, bus._run, bus._beats, 0.0)
+        pair.network.inject("rover", "base", what, packed(head, (), bus.kinds))
+
+    async with pair.both(driving) as (base, rover):
+        sent = listen(base)
+        for beat in range(1, 41):
+            say("beat", beat)
+            await asyncio.sleep(0.05)
+        assert "another robot of the name 'rover'" in str(rover.resources.query("base"))
+        told = [each for each in caplog.messages if "two robots have this name" in each]
+        assert len(told) == 1
+        say("bye", 41)
+        ended = asyncio.get_running_loop().time()
+        await asyncio.sleep(0.5)
+        moved = [told for at, told in sent if at > ended and told != STILL]
+        assert moved
+        assert min(each.linear for each in moved) >= ended
+
+
 class Measuring(esair.Sensor[float]):
     """Measures when it does so."""
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import collections
 import itertools
+import logging
 import math
 import secrets
 from collections.abc import Awaitable, Callable
@@ -42,11 +43,14 @@ FIRST = 0.4
 """How long an opening waits for the first beat, in seconds."""
 
 _FOLLOW_AGAIN = 20  # beats after which the peer is told again what is wanted
+_OVER = 8  # runs that are over of which it is known
 _KEPT = 128  # beats of which it is known when they were sent
 _PENDING = 64  # requests that wait for their answers
 _READINGS = 16  # readings of a sensor that wait to be taken
 
 NEVER = -math.inf
+
+_log = logging.getLogger("esair")
 
 Send = Callable[[str, bytes], None]
 Serve = Callable[[str, float, bytes], object]
@@ -103,7 +107,8 @@ class PeerBus(Bus):
         self._sent: collections.deque[float] = collections.deque(maxlen=_KEPT)
         self._beats = 0
         self._its_run = self._its_beat = 0
-        self._over: collections.deque[int] = collections.deque(maxlen=8)
+        self._over: dict[int, int] = {}  # runs that are over, and since which own beat
+        self._doubled = self._heard_there = 0
         self.heard_at: float = NEVER
         """When the newest beat was sent that it has echoed, by the clock of the loop."""
         self._beat_at = NEVER
@@ -148,7 +153,8 @@ class PeerBus(Bus):
             async with asyncio.timeout(FIRST):
                 await self._alive.wait()
         except TimeoutError:
-            raise DeviceLostError(self.name, "no beat of it was heard") from None
+            told = self._why("no beat of it was heard")
+            raise DeviceLostError(self.name, told) from None
 
     async def _close(self) -> None:
         """It goes on to beat, so that the peer is heard when it is back."""
@@ -179,12 +185,18 @@ class PeerBus(Bus):
             self.say("beat")
             silent = loop.time() - self.heard_at
             if self._alive.is_set() and silent > SILENCE:
-                self._gone(f"no echo of a beat for {silent:.2g} s")
+                self._gone(self._why(f"no echo of a beat for {silent:.2g} s"))
             elif self.is_open and self._beats % _FOLLOW_AGAIN == 0:
                 self._tell_followed()
                 # A message may be lost with a connection, or in a gap.
                 self.say("pending", [n for n, e in self._pending.items() if e.is_ask])
             await asyncio.sleep(BEAT)
+
+    def _why(self, told: str) -> str:
+        """Return why the peer is silent, if that is not what is thought."""
+        if self._heard_there in {0, self._run}:
+            return told
+        return f"it hears another robot of the name {self.network.me!r}"
 
     def _gone(self, told: str) -> None:
         was_there = self._alive.is_set()
@@ -226,13 +238,14 @@ class PeerBus(Bus):
             self.stats.bad_frames += 1
             return False
         head, body = found
-        if head.run in self._over:
+        if self._is_over(head):
             self.stats.late += 1
             return False
+        self._heard_there = head.echo_run if head.held < SILENCE else 0
         now = asyncio.get_running_loop().time()
         self.stats.received += 1
         if head.run != self._its_run:
-            self._over.append(self._its_run)
+            self._end_run(self._its_run)
             self._its_run, self._its_beat = head.run, -1
             if self._alive.is_set():
                 self._gone("it has restarted")
@@ -261,7 +274,7 @@ class PeerBus(Bus):
             self.round_trip = max(0.0, now - since - head.held)
             self.heard_at = max(self.heard_at, since)
         if what == "bye":
-            self._over.append(head.run)
+            self._end_run(head.run)
             self._its_run = 0
             self._gone("it has ended")
             return True
@@ -273,6 +286,33 @@ class PeerBus(Bus):
             self.arrived()
         if what != "beat":
             self._take(what, since, since + head.held, body)
+        return True
+
+    def _end_run(self, run: int) -> None:
+        self._over[run] = self._beats
+        if len(self._over) > _OVER:
+            del self._over[next(iter(self._over))]
+
+    def _is_over(self, head: Head) -> bool:
+        """Tell whether a message is of a run that is over.
+
+        One that has heard what was said since is not: a second robot of this name has
+        been heard meanwhile. It is heard again when that is not.
+        """
+        over = self._over.get(head.run)
+        if over is None:
+            return False
+        if head.echo_run != self._run or not over < head.echo <= self._beats:
+            return True
+        if not self._alive.is_set():
+            del self._over[head.run]
+            return False
+        if self._doubled != head.run:
+            self._doubled = head.run
+            told = (
+                "%s: two robots have this name, and one of them is heard: end the other"
+            )
+            _log.warning(told, self.name)
         return True
 
     def _since(self, head: Head) -> float:
