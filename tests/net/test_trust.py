@@ -61,15 +61,19 @@ async def test_nothing_is_shared_unless_named() -> None:
 async def test_a_peer_has_the_priority_of_its_share_and_no_more() -> None:
     """Who has more at home keeps the actuator, and is named to the peer."""
     pair, hand = Pair(priority=5), Hand()
-    async with pair.base(Captain()) as base, pair.rover(hand):
+    async with pair.base(Captain()) as base, pair.rover(hand) as rover:
         await asyncio.sleep(0.5)
         refused = await hand.wheels.write(Twist(0.1, 0.0))
         assert isinstance(refused, esair.Refused)
         assert (refused.holder, refused.priority) == ("base:captain", 9)
+        why = rover.resources.why("far_wheels")
+        assert (why.holder, why.priority, why.rule) == ("base:captain", 9, refused.rule)
+        assert "the robot that has it" in str(why)
         assert Twist(0.1, 0.0) not in pair.wheels.commands
         await base.behaviors.remove("captain")
         await asyncio.sleep(0.3)
         assert await hand.wheels.write(Twist(0.1, 0.0))
+        assert rover.resources.why("far_wheels").holder == "hand"
 
 
 @pytest.mark.promise("NET-5")

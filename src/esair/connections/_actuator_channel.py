@@ -728,4 +728,9 @@ class ActuatorChannel(Device):
     def why(self) -> Why:
         """Tell who holds the actuator, by which rule, and what would free it."""
         now, told = self.time(), self.wire.told.command
-        return explain(self.gate, self.hold, now, told, is_safe=self.is_safe)
+        there = getattr(self.actuator, "refused", None)  # by the robot that has it
+        if not isinstance(there, Refused):
+            there = None
+        return explain(
+            self.gate, self.hold, now, told, is_safe=self.is_safe, there=there
+        )

@@ -461,8 +461,19 @@ def verdict(
     return None
 
 
-def explain(gate: Gate, hold: Hold, now: float, told: object, *, is_safe: bool) -> Why:
-    """Tell who holds an actuator, by which rule, and what would free it."""
+def explain(
+    gate: Gate,
+    hold: Hold,
+    now: float,
+    told: object,
+    *,
+    is_safe: bool,
+    there: Refused | None = None,
+) -> Why:
+    """Tell who holds an actuator, by which rule, and what would free it.
+
+    *There* is what the robot that has it said last, if that was a refusal.
+    """
     device = gate.device
     halt, error = device.registrations.halt, device.error
     holder = hold.present(now)
@@ -477,6 +488,9 @@ def explain(gate: Gate, hold: Hold, now: float, told: object, *, is_safe: bool) 
     elif blind is not None and (holder is None or holder.priority <= blind.priority):
         by = blind.component, blind.priority, blind.rule, blind.since, None
         frees = f"its next decision, or a write with a priority above {blind.priority}"
+    elif holder is not None and there is not None:
+        by = there.holder, there.priority, there.rule, there.since, there.until
+        frees = f"the robot that has it; of those here {holder.behavior} writes"
     elif holder is not None:
         by = holder.behavior, holder.priority, rule_of(holder), hold.since, hold.until
         frees = (

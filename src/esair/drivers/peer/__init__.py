@@ -205,6 +205,8 @@ class PeerActuator(Actuator[Any]):
     async def open(self) -> None:
         """Begin anew: whether it is shared says the answer to the first release."""
         self._is_known = False
+        self.refused: Refused | None = None
+        """What its owner has answered last, if that was a refusal."""
         self.bus.when_gone[self._hear_gone] = None
 
     async def close(self) -> None:
@@ -228,6 +230,11 @@ class PeerActuator(Actuator[Any]):
             DeviceLostError: The peer is lost, or does not share it.
             DeviceFaultError: Its owner could not apply it.
         """
+        answer = await self._ask(command)
+        self.refused = answer if isinstance(answer, Refused) else None
+        return answer
+
+    async def _ask(self, command: Any) -> Any:
         bus = self.bus
         what = ("release",) if command is HOLD else ("write", command)
         how, value = await bus.request(
