@@ -395,6 +395,26 @@ async def test_a_second_robot_of_one_name_shuts_the_first_out_for_its_time(
         assert min(each.linear for each in moved) >= ended
 
 
+@pytest.mark.promise("NET-4")
+async def test_no_command_is_older_than_a_loss_of_its_peer() -> None:
+    """However long the owner's time-out is: what waited through a gap moves nothing."""
+    pair, driving = Pair(), Driving()
+    pair.wheels = FakeActuator("wheels", safe=STILL, command_timeout=5.0)
+    async with pair.both(driving) as (base, _):
+        sent = listen(base)
+        await asyncio.sleep(0.2)
+        pair.network.cut(keep=True)
+        beating = pair.to_rover._beating
+        assert beating is not None
+        beating.cancel()  # the owner is stopped: it has not noticed a loss when it goes on
+        await asyncio.sleep(1.2)
+        pair.network.heal()
+        await asyncio.sleep(0.1)
+        moved = [(at, told) for at, told in sent if told != STILL]
+        assert moved
+        assert max(at - told.linear for at, told in moved) < 1.0
+
+
 class Measuring(esair.Sensor[float]):
     """Measures when it does so."""
 

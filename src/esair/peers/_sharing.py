@@ -82,8 +82,9 @@ class Sharing(Behavior):
 
     Nothing is shared that is not named. Its ports are registered like those of any
     behavior: policies, limits, guards and the time-out of commands hold for the peer.
-    A command that echoes a beat older than the actuator's ``command_timeout``, by the
-    clock of this robot, is refused. Without the peer nothing is written.
+    A command that echoes a beat older than the actuator's ``command_timeout``, or older
+    than a second, by the clock of this robot, is refused: so long a gap is a loss of the
+    peer. Without the peer nothing is written.
 
     Args:
         bus: The bus to the peer.
@@ -214,7 +215,7 @@ class Sharing(Behavior):
                     self._answer(number, "failed", told)
                 continue
             # Judged when it leaves: it may wait behind a slow call of another writer.
-            expires = since + port.command_timeout
+            expires = since + min(port.command_timeout, SILENCE)
             try:
                 written = await port.write(rest[0], expires=expires)
             except _ABSENT as error:
