@@ -255,6 +255,7 @@ class BehaviorFailedError(EsairError):
             f"behavior {behavior!r} failed" + (f": {detail}" if detail else "")
         )
         self.behavior = behavior
+        self.detail = detail
 
 
 class ProcessDiedError(EsairError, ConnectionError):

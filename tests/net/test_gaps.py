@@ -8,7 +8,7 @@ import random
 from typing import Any
 
 import pytest
-from tests.net.parts import STILL, Dock, Hand, Pair, Twist
+from tests.net.parts import STILL, Dock, Docking, Hand, Pair, Twist
 
 import esair
 from esair import ResourceState
@@ -490,9 +490,26 @@ async def test_each_request_has_its_one_outcome() -> None:
         pair.docking.go.set()
         with pytest.raises(esair.RefusedError, match="no such bay"):
             await hand.ask("far_docking", Dock(-1))
-        with pytest.raises(esair.BehaviorFailedError, match="bay 0"):
+        told = r"^behavior 'far_docking' failed: ValueError: bay 0$"
+        with pytest.raises(esair.BehaviorFailedError, match=told):
             await hand.ask("far_docking", Dock(0))
         assert pair.docking.begun == [1, -1, 0]
+
+
+@pytest.mark.promise("BS-10", "NET-2")
+@pytest.mark.parametrize("act", ["remove", "replace"])
+async def test_a_worker_that_is_taken_away_there_is_told_as_removed(act: str) -> None:
+    """By the name and the class that a worker of this robot would have."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand) as (base, _):
+        asking = asyncio.ensure_future(hand.ask("far_docking", Dock(2)))
+        await asyncio.sleep(0.2)
+        if act == "remove":
+            await base.behaviors.remove("docking")
+        else:
+            await base.behaviors.replace("docking", Docking())
+        with pytest.raises(esair.BehaviorRemovedError, match="behavior 'far_docking'"):
+            await asking
 
 
 class Mate(esair.Behavior):

@@ -13,6 +13,7 @@ from esair.buses.peer import PeerBus
 from esair.codec import CodecError, decode, encode
 from esair.exceptions import (
     BehaviorFailedError,
+    BehaviorRemovedError,
     DeviceLostError,
     EsairError,
     OutcomeUnknownError,
@@ -69,12 +70,14 @@ class PeerBehavior(Behavior):
             wanted = answer_type(type(request.data))
             if not fits(value, wanted):
                 told = f"it answered {value!r:.80}, not {type_name(wanted)}"
-                raise BehaviorFailedError(self.remote, told)
+                raise BehaviorFailedError(self.name, told)
             request.answer(value)
         elif how == "declined":
             request.refuse(str(value))
         elif how == "failed":
-            raise BehaviorFailedError(self.remote, str(value))
+            raise BehaviorFailedError(self.name, str(value))
+        elif how == "removed":
+            raise BehaviorRemovedError(self.name)
         else:
             raise OutcomeUnknownError(self.name, str(value))
 

@@ -14,6 +14,8 @@ from esair.actions import Behavior, Request, reads, writes
 from esair.buses.peer import QUIET, SILENCE, PeerBus
 from esair.exceptions import (
     BadValueError,
+    BehaviorFailedError,
+    BehaviorRemovedError,
     BusyError,
     CircularRequestError,
     ConfigError,
@@ -346,6 +348,10 @@ class Sharing(Behavior):
         except _NOT_DONE as error:
             told = error.reason if isinstance(error, RefusedError) else describe(error)
             self._answer(number, "declined", told)
+        except BehaviorRemovedError as error:
+            self._answer(number, "removed", describe(error))
+        except BehaviorFailedError as error:
+            self._answer(number, "failed", error.detail)
         except Exception as error:
             self._answer(number, "failed", describe(error))
         else:

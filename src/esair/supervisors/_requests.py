@@ -259,6 +259,13 @@ class Request:
         if isinstance(cause, OutcomeUnknownError):
             self.end(Outcome.NOT_KNOWN, error=cause)
             return
+        of_peer = (BehaviorFailedError, BehaviorRemovedError)
+        if isinstance(cause, of_peer) and cause.behavior == self.peer:
+            failed = isinstance(cause, BehaviorFailedError)  # it says so of itself
+            self.end(
+                Outcome.PEER_FAILED if failed else Outcome.PEER_REMOVED, error=cause
+            )
+            return
         error = BehaviorFailedError(self.peer, detail)
         error.__cause__ = cause
         self.end(Outcome.PEER_FAILED, error=error)
