@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import itertools
 import shutil
+import socket
 import statistics
 import threading
 import time
@@ -18,7 +19,7 @@ from tests.net.certificates import certify, tls
 from tests.net.parts import Dock, Docking, Hand, Pair, Twist, free_port
 
 import esair
-from esair.buses.peer import Network, PeerBus, _line
+from esair.buses.peer import Network, PeerBus, Tls, _line
 
 pytest.importorskip("zenoh")
 pytestmark = [pytest.mark.real_clock, pytest.mark.xdist_group("zenoh")]
@@ -313,6 +314,41 @@ async def test_tls(certificates: Path) -> None:
         await use(pair, hand, robot)
 
 
+@pytest.mark.promise("NET-1")
+@pytest.mark.parametrize(
+    ("ca", "certificate", "key", "told"),
+    [
+        ("ca.pem", "thief.pem", "thief.key", "that of 'rover', not of 'thief'"),
+        ("ca.pem", "rover.pem", "thief.key", "tls.key: expected the private key"),
+        ("ca.pem", "rover.key", "rover.pem", "tls.certificate: expected the cert"),
+        ("ca.key", "rover.pem", "rover.key", "tls.ca: expected the certificate"),
+        ("ca.pem", "rover.pem", "none.key", "tls.key: there is no file"),
+    ],
+)
+def test_wrong_certificates_are_named(
+    certificates: Path, ca: str, certificate: str, key: str, told: str
+) -> None:
+    """Before anything is opened: with them the network would be silent, and no more."""
+    files = Tls(*(certificates / each for each in (ca, certificate, key)))
+    with pytest.raises(esair.ConfigError, match=told):
+        Network(me="rover", connect=["tls/127.0.0.1:9"], tls=files)
+
+
+async def test_a_port_that_is_taken_is_named() -> None:
+    """In words for who has it, not in those of who wrote zenoh."""
+    port = free_port()
+    network = Network(me="base", peers=["rover"], listen=f"tcp/127.0.0.1:{port}")
+    bus = PeerBus(name="rover", network=network)
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", port))
+        other.listen()
+        with pytest.raises(esair.DeviceLostError, match="another program") as lost:
+            await bus.open()
+    assert f"127.0.0.1:{port}" in str(lost.value)
+    assert ".rs" not in str(lost.value)
+    await bus.close()
+
+
 @pytest.mark.promise("NET-5")
 @pytest.mark.parametrize("who", ["thief", "other-rover", "expired", "nobody"])
 @pytest.mark.parametrize("tries", [1, pytest.param(50, marks=pytest.mark.soak)])
@@ -330,9 +366,9 @@ async def refused(certificates: Path, who: str) -> None:
     mine = tls(certificates, "base")
     base = Network(me="base", peers=["rover"], listen=[end], tls=mine)
     file = "rover" if who == "nobody" else who
-    rover = Network(
-        me="rover", peers=["base"], connect=[end], tls=tls(certificates, file)
-    )
+    mine = tls(certificates, "rover")
+    rover = Network(me="rover", peers=["base"], connect=[end], tls=mine)
+    rover.tls = tls(certificates, file)
     if who == "nobody":
         rover = Network(me="rover", peers=["base"], connect=[end.replace("tls", "tcp")])
     pair, hand = over(Pair(), base, rover), Hand()

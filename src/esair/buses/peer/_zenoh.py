@@ -36,6 +36,12 @@ if TYPE_CHECKING:
 _ENDPOINT: Final = re.compile(
     r"(tcp|tls)/(\[[0-9a-f:.]+\]|[\w.-]+):(\d{1,5})", re.ASCII
 )
+_OF_TLS: Final = {
+    "ca": "the certificate of the authority",
+    "certificate": "the certificate of this robot",
+    "key": "the private key of the certificate",
+}
+_PLACES: Final = re.compile(r" at \S+\.rs:\d+\.?")
 _HERE: Final = re.compile(r"127(\.\d+){3}|localhost|\[::1\]")
 
 _WAITING: Final = 512
@@ -192,7 +198,7 @@ class _Peer:
 
 
 def _paths(endpoints: Any) -> tuple[str, ...]:
-    return tuple(map(str, endpoints))
+    return tuple(map(str, [endpoints] if isinstance(endpoints, str) else endpoints))
 
 
 @attrs.define(eq=False, kw_only=True)
@@ -241,10 +247,36 @@ class Network:
             for endpoint in getattr(self, field):
                 if (wrong := self._wrong(endpoint)) is not None:
                     raise ConfigError("network", field, f"{endpoint!r:.80}: {wrong}")
-        for field in ("ca", "certificate", "key") if self.tls is not None else ():
-            if not (file := Path(getattr(self.tls, field))).is_file():
+        if self.tls is not None:
+            self._check(self.tls)
+
+    def _check(self, tls: Tls) -> None:
+        """Read the certificates: with a wrong one the network is silent, and no more."""
+        import ssl
+
+        for field in _OF_TLS:
+            if not (file := Path(getattr(tls, field))).is_file():
                 told = f"there is no file {str(file)!r}"
                 raise ConfigError("network", f"tls.{field}", told)
+        context, field = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), "ca"
+        decode: Any = getattr(ssl, "_ssl")._test_decode_cert  # noqa: B009, SLF001
+        try:
+            context.load_verify_locations(tls.ca)
+            field = "certificate"
+            subject = [
+                pair for part in decode(tls.certificate)["subject"] for pair in part
+            ]
+            field = "key"
+            context.load_cert_chain(tls.certificate, tls.key, password="")
+        except OSError as error:
+            told = f"expected {_OF_TLS[field]}, in PEM: {describe(error)}"
+            raise ConfigError("network", f"tls.{field}", told) from None
+        if ("commonName", self.me) not in subject:
+            names = " and ".join(
+                repr(name) for key, name in subject if key == "commonName"
+            )
+            told = f"expected that of {self.me!r}, not of {names or 'nobody'}"
+            raise ConfigError("network", "tls.certificate", told)
 
     def _wrong(self, endpoint: str) -> str | None:
         found = _ENDPOINT.fullmatch(endpoint)
@@ -379,7 +411,10 @@ class Network:
         except EsairError:
             raise
         except Exception as error:  # zenoh has one class of errors for everything
-            raise DeviceLostError(bus.name, describe(error)) from error
+            told = _PLACES.sub("", describe(error))  # which are those of its author
+            if "in use" in told:
+                told += ": another program has the port, or another start of this robot"
+            raise DeviceLostError(bus.name, told) from error
         finally:
             self._opening = None
 
