@@ -210,6 +210,16 @@ def test_the_loud_word_is_a_warning(files: Files) -> None:
     assert (found.severity, found.key, found.line) == ("warning", "network.insecure", 6)
 
 
+def test_two_that_do_not_meet_are_warned_of(files: Files) -> None:
+    """Not more: something between them may forward a port."""
+    files.change(files.rover, str(files.port), "9")
+    (_, report) = check_together([files.base, files.rover])
+    (found,) = (each for each in report.findings if each.rule == "peer")
+    assert (found.severity, found.key, found.line) == ("warning", "network.connect", 6)
+    assert f"base.toml listens at port {files.port}" in found.message
+    assert files.errors() == []
+
+
 @pytest.mark.promise("NET-1")
 def test_a_simulation_joins_no_network_by_an_omission(files: Files) -> None:
     """It could move real peers: it needs ``sim``, whose keys replace those beside it."""

@@ -13,7 +13,7 @@ from esair.actions import Behavior, ProfiledAction, Reaction
 from esair.buses import Bus
 from esair.config._draft import Draft
 from esair.config._module import is_of_module, robot_of
-from esair.config._network import open_to_all, pair_mistakes
+from esair.config._network import open_to_all, pair_mistakes, unmet
 from esair.config._parts import make_draft, refused_by_robot
 from esair.config._source import read_source
 from esair.exceptions import ConfigError
@@ -228,6 +228,10 @@ def check_together(
             if mine is not None and other is not None and other is not mine
             for key, told in pair_mistakes(mine, other)
         ]
+        for other in drafts:
+            if mine and other and (told := unmet(mine, other)):
+                line = mine.source.mistakes.lines.of(end := "network.connect")
+                found.append(FoundInFile("warning", "peer", end, line, told))
         every = (*found, *reports[number].findings)
         reports[number] = attrs.evolve(reports[number], findings=every)
     return reports

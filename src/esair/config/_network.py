@@ -299,6 +299,27 @@ def pair_mistakes(mine: Draft, other: Draft) -> Iterator[tuple[str, str]]:
             yield from _misfits(key, made[kind, name], part.made, file)
 
 
+def unmet(mine: Draft, other: Draft) -> str:
+    """Say so if one connects to no port where the other one listens."""
+    here, there = mine.peers, other.peers
+    if None in (here, there) or there.me not in here.names:
+        return ""
+    if None in (here.network, there.network):
+        return ""
+    one, two, three, four = (
+        {end.rpartition(":")[2] for end in ends}
+        for network, its in (
+            (here.network, there.network),
+            (there.network, here.network),
+        )
+        for ends in (network.connect, its.listen)
+    )
+    if not (one and two) or one & two or three & four:
+        return ""
+    ports = " and ".join(sorted(two))
+    return f"{other.source.path.name} listens at port {ports}, unless that is forwarded"
+
+
 def _misfits(key: str, mine: Any, other: Any, file: str) -> Iterator[tuple[str, str]]:
     if isinstance(other, Behavior):
         takes = {type_name(each.type) for each in _takes(inner_of(other))}
