@@ -51,6 +51,14 @@ def test_who_works_again_in_time_is_no_finding() -> None:
     assert found_in(PLANTS["stays in panic"][0], calm=14.5) == set()
 
 
+@pytest.mark.promise("TOR-1")
+def test_what_is_taken_away_slowly_comes_again() -> None:
+    """A removal may outlast its step: nobody is blamed for what was never added."""
+    removal = Step(3.0, "remove", "sonar", lasts=0.02)
+    silence = Step(3.0, "silent", "sonar", lasts=0.1)
+    assert found_in(SOUND["reacts"], (removal, silence)) == set()
+
+
 @pytest.mark.long
 @pytest.mark.promise("TOR-1")
 def test_who_was_looked_at_for_less_is_not_judged() -> None:

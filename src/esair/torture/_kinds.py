@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import inspect
 import random
@@ -362,13 +363,14 @@ def remove(world: World, step: Step) -> Callable[[], object]:
     name = step.target
     supervisor = _supervisor(world, name)
     work = _then_look(world, supervisor.remove(name))
-    world.order(f"remove {name}", name, work)
+    removal = world.order(f"remove {name}", name, work)
 
-    def add() -> None:
+    async def add() -> None:
+        await asyncio.wait({removal})  # it may take longer than this step lasts
         if name not in supervisor.names():
-            world.order(f"add {name}", name, supervisor.add(world.spare(name)))
+            await supervisor.add(world.spare(name))
 
-    return add
+    return lambda: world.order(f"add {name}", name, add())
 
 
 @_kind("user", "components", weight=2.0)
