@@ -140,6 +140,24 @@ def test_a_default_without_a_type_tells_the_type(project) -> None:
     }
 
 
+@pytest.mark.promise("PRO-4")
+def test_an_initial_value_has_the_type_of_the_readings(project) -> None:
+    """A table becomes what the sensor says, as the safe command of an actuator does."""
+    (project.folder / f"{project.module}_p.py").write_text(
+        f"import esair\nfrom {project.module} import Twist\n"
+        "class Pose(esair.Sensor[Twist]):\n"
+        "    async def stream(self):\n"
+        "        yield Twist(1.0)\n"
+    )
+    text = '[sensor.pose]\ndriver = "{m}_p:Pose"\ninitial = '
+
+    pose = config.load(project.write(text + "{{ linear = 2 }}\n")).resources["pose"]
+
+    assert pose.initial.linear == 2.0
+    project.write(text + '"far"\n')
+    assert "expected a table" in project.mistakes()["sensor.pose.initial"]
+
+
 def test_a_profile_in_the_file_changes_that_of_the_class(project) -> None:
     """What the file does not say stays as the class says."""
     described = config.load(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import esair
 from esair.buses import CanBus, I2CBus
@@ -151,6 +151,33 @@ class Promised(Sonar):
 
 class Inverted(Sonar):
     limits = (3.0, 1.0)
+
+
+class NoSuchField(Sonar):
+    limits = {"left": (0.0, 1.0)}  # noqa: RUF012 - as users write it
+
+
+class Twist(NamedTuple):
+    linear: float
+
+
+class PairForOne(esair.Sensor[Twist]):
+    limits = (0.0, 1.0)
+
+    async def read(self) -> Twist:
+        return Twist(0.0)
+
+
+class SaysAWord(esair.Sensor[float]):
+    initial: Any = "far"
+
+    async def stream(self) -> AsyncIterator[float]:
+        yield 1.0
+
+
+class SaysTooMuch(SaysAWord):
+    initial = 9.0
+    limits = (0.0, 1.0)
 
 
 class Clamps(Wheels):

@@ -144,6 +144,13 @@ CASES = [
          "promised", "period"),
     Case(parts.Inverted, "expected (least, greatest), not (3.0, 1.0)",
          "inverted", "limits"),
+    Case(parts.NoSuchField, "float has no such field", "no_such_field", "limits.left"),
+    Case(parts.PairForOne, "expected a pair for each field of Twist, not (0.0, 1.0)",
+         "pair_for_one", "limits"),
+    Case(parts.SaysAWord, "it is no reading of this sensor: expected float, it gave "
+         "'far'", "says_a_word", "initial"),
+    Case(parts.SaysTooMuch, "it is no reading of this sensor: expected 0 to 1, it gave "
+         "9.0", "says_too_much", "initial"),
     Case(parts.Clamps, "expected True or False, not 'yes'", "clamps", "clamp"),
     Case(parts.PairForAll, "expected a pair for each field of {'left': 0.0}, not "
          "(-1.0, 1.0)", "pair_for_all", "limits"),

@@ -229,7 +229,8 @@ def construct(
         if setting is not None:
             values[field] = _check_setting(setting, value, keys[field], mistakes)
         else:
-            kind = kinds.get(field, accepted[field].field.kind)
+            kind = kinds.get(field, Any)
+            kind = accepted[field].field.kind if kind is Any else kind
             values[field] = source.convert(value, kind, keys[field])
     for field, accept in accepted.items():
         if accept.field.required and field not in {"name", *given, *table}:
@@ -426,7 +427,9 @@ def make_device(
         key,
         variant,
         given=given,
-        kinds={"safe": _command_type(cls)} if base is Actuator else {},
+        kinds={"safe": _command_type(cls)}
+        if base is Actuator
+        else {"initial": value_type(cls, Sensor)},
         later=frozenset({"driver", "bus", "reads"} if derived else {"driver", "bus"}),
         make=has_bus,
     )

@@ -64,7 +64,13 @@ from esair.connections._sensor_channel import (
     Source,
 )
 from esair.connections._turns import Decision, Sight
-from esair.connections._values import CommandCheck, changed, limits_by_field, part_of
+from esair.connections._values import (
+    CommandCheck,
+    ReadingCheck,
+    changed,
+    limits_by_field,
+    part_of,
+)
 
 __all__ = [
     "BLIND",
@@ -96,6 +102,7 @@ __all__ = [
     "Port",
     "Protection",
     "Protections",
+    "ReadingCheck",
     "Registration",
     "Registrations",
     "SensorChannel",

@@ -11,7 +11,7 @@ import inspect
 import sys
 import types
 import typing
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Any, Final
 
 from esair import abc
@@ -29,9 +29,10 @@ from esair.actions import (
     is_request,
 )
 from esair.codec import CodecError, Kinds, declared, encode, inner_of
-from esair.connections import CommandCheck, limits_by_field, part_of
+from esair.connections import CommandCheck, ReadingCheck, limits_by_field, part_of
 from esair.exceptions import BadValueError, ConfigError
-from esair.messages import Reading, Restart, placement_of
+from esair.flaws import fields_of
+from esair.messages import Reading, Restart, Stamped, placement_of
 from esair.plan._plan import Finding, because, mistake, warning
 from esair.resources import (
     HOLD,
@@ -41,7 +42,14 @@ from esair.resources import (
     wrong_bus,
     wrong_operations,
 )
-from esair.values import check_name, hints_of, is_positive, same_type, type_name
+from esair.values import (
+    check_name,
+    checked_class,
+    hints_of,
+    is_positive,
+    same_type,
+    type_name,
+)
 
 _BEHAVIOR = ("setup", "run", "teardown", "provide")
 
@@ -324,8 +332,10 @@ def _in_resource(
             yield "write", "an actuator must have a write method"
     elif isinstance(resource, Derived):
         yield from wrong_derived(resource)
-    elif not (resource.can_be_asked or resource.pushes):
-        yield "read", "a sensor must have a read or stream method"
+    else:
+        if not (resource.can_be_asked or resource.pushes):
+            yield "read", "a sensor must have a read or stream method"
+        yield from _in_initial(resource)
     yield from wrong_signatures(resource)
     yield from wrong_operations(type(resource))
 
@@ -378,6 +388,17 @@ def _in_actuator(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
         check.slewed(safe, actuator.safe, 1.0)
     except (BadValueError, TypeError) as error:
         yield field, f"does not fit: {error}"
+
+
+def _in_initial(sensor: Sensor[Any]) -> Iterator[tuple[str, str]]:
+    """Find what a sensor says at its opening, and nobody would ever hear."""
+    if hasattr(sensor, "initial") and not any(_in_limits(sensor)):
+        value = sensor.initial
+        if type(value) is Stamped:
+            value = value.value
+        wrong = ReadingCheck(sensor).wrong(value)
+        if wrong is not None:
+            yield "initial", f"it is no reading of this sensor: {wrong}"
 
 
 def _in_slew(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
@@ -457,6 +478,9 @@ def _in_limits(resource: Sensor[Any] | Actuator[Any]) -> Iterator[tuple[str, str
         except (AttributeError, LookupError):
             yield f"limits.{field}", f"{safe!r:.80} has no such field"
             continue
+        if safe is HOLD and (told := _not_limited(resource.value_type, field, bounds)):
+            yield f"limits.{field}".rstrip("."), told
+            continue
         try:
             low, high = bounds
             told = "" if low <= high else f"not {bounds!r:.80}"
@@ -471,6 +495,24 @@ def _in_limits(resource: Sensor[Any] | Actuator[Any]) -> Iterator[tuple[str, str
         except TypeError:
             told = f"expected a pair for each field of {part!r:.80}, not {bounds!r:.80}"
             yield f"limits.{field}".rstrip("."), told
+
+
+def _not_limited(kind: Any, field: str, bounds: object) -> str:
+    """Say why values of a type cannot have these limits, as far as the type tells."""
+    cls = checked_class(kind)
+    if cls is None or (field and issubclass(cls, Mapping)):
+        return ""
+    if not field:
+        unordered = inspect.getattr_static(cls, "__ge__") is vars(object)["__ge__"]
+        each = f"a pair for each field of {type_name(cls)}"
+        is_whole = unordered or issubclass(cls, Collection)  # compares with no number
+        return f"expected {each}, not {bounds!r:.80}" if is_whole else ""
+    fields = fields_of(cls)
+    if field in fields or field in hints_of(cls) or hasattr(cls, field):
+        return ""
+    # Else its instances alone know what they have.
+    has_told = fields or cls.__module__ == "builtins"
+    return f"{type_name(cls)} has no such field" if has_told else ""
 
 
 SCRIPT: Final = "__main__"
