@@ -166,7 +166,9 @@ def test_a_robot_is_watched_and_steered(esair, robot):
     time.sleep(0.2)
     assert told(folder)[-1] == 1.0
     esair("restart", "always")
-    esair("replace", "always")
+    (folder / "parts.py").write_text("this is no Python")  # it is not loaded again
+    told_now = esair("replace", "always")
+    assert "its Python code is as the program has loaded it" in told_now
     assert "no such part" in esair("add", "nobody", code=1)
     assert "did you mean" in esair("why", "moter", code=1)
 

@@ -18,6 +18,7 @@ from esair.exceptions import (
     did_you_mean,
     hint_for,
 )
+from esair.messages import is_placed
 from esair.recording import plain
 from esair.seat._leases import SECONDS, answer_of
 from esair.seat._status import settings
@@ -311,7 +312,7 @@ async def _ask(
 async def _add(console: Console, _: Session, name: str) -> Any:
     part = await console.part(name)
     await console.owner_of(part).add(part)
-    return f"{name} was added"
+    return f"{name} was added{_code_of(part)}"
 
 
 @_act("take a behavior or device away; what it moves is safe first", name=PART)
@@ -347,7 +348,14 @@ async def _replace(console: Console, _: Session, name: str) -> Any:
     console.supervisor_of(name)  # the word for a name that nobody has
     part = await console.part(name)
     await console.owner_of(part).replace(name, part)
-    return f"{name} was replaced"
+    return f"{name} was replaced{_code_of(part)}"
+
+
+def _code_of(part: Any) -> str:
+    """Say what is not new in what the file has now: no module is loaded twice."""
+    if is_placed(part):  # its process is a new one
+        return ""
+    return "; its Python code is as the program has loaded it"
 
 
 @_act(
