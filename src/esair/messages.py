@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Self, TypeV
 import attrs
 
 from esair.exceptions import ConfigError, hint_for
-from esair.values import as_path, check_name, check_party, is_positive
+from esair.values import as_path, check_name, check_party, is_positive, tls_context
 
 if TYPE_CHECKING:
+    import ssl
     from pathlib import Path
 
 T = TypeVar("T")
@@ -631,6 +632,16 @@ class Page:
                 "key for TLS, or insecure = true"
             )
             raise ConfigError("page", "host", told)
+
+    def tls(self) -> ssl.SSLContext | None:
+        """Return how it speaks TLS; None if it does not.
+
+        Raises:
+            ConfigError: Its files are not there, or no certificate and its key.
+        """
+        if self.certificate is None or self.key is None:
+            return None
+        return tls_context("page", self.certificate, self.key)
 
     @property
     def is_local(self) -> bool:

@@ -246,3 +246,21 @@ def test_paths_of_the_robot_begin_in_the_folder_of_the_file(project) -> None:
 
     project.write("[page]\ncertificate = 3\n")
     assert "expected a path, not 3" in project.mistakes()["page.certificate"]
+
+
+@pytest.mark.parametrize(
+    ("file", "told"),
+    [("none.pem", "there is no file"), ("rover.toml", "expected a certificate in PEM")],
+)
+def test_files_of_the_page_are_looked_at_without_opening_it(
+    project, file, told
+) -> None:
+    """A certificate that is none is told like every other mistake, and at its key."""
+    path = project.write()
+    text = f'[page]\ncertificate = "{file}"\nkey = "{path.name}"\n'
+    (path.parent / "rover.toml").write_text(text)
+
+    (found,) = config.check(project.write(text)).findings
+
+    assert (found.key, found.line) == ("page.certificate", 2)
+    assert told in found.message

@@ -295,6 +295,13 @@ async def test_a_request_that_finds_no_room_is_declined() -> None:
             },
             "begins with tls/",
         ),
+        (
+            {
+                "listen": ["tls/127.0.0.1:1"],
+                "tls": Tls(Path(__file__), Path(__file__), Path(__file__)),
+            },
+            "tls.certificate: expected a certificate in PEM",
+        ),
     ],
 )
 def test_endpoints_are_explicit_and_safe(given: dict[str, object], told: str) -> None:

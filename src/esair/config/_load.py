@@ -298,6 +298,12 @@ def has_simulation(tables: Mapping[str, Any]) -> bool:
 def _found(draft: Draft, robot_class: type) -> list[FoundInFile]:
     mistakes = draft.source.mistakes
     findings = examine(draft.plan())
+    page = draft.robot.get("page")
+    try:
+        if page is not None:
+            page.tls()
+    except ConfigError as error:
+        mistakes.caught("page", error, "the page")
     warned = open_to_all(draft.peers)
     sound = not mistakes.errors and not any(each.is_error for each in findings)
     refused_by_robot(draft, robot_class, sound=sound)

@@ -12,7 +12,6 @@ import os
 import re
 import secrets
 import socket
-import ssl
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +23,8 @@ from esair.seat._visitor import Budget, Entry, Visitor, Way, line_of
 from esair.seat._wire import LIMIT
 
 if TYPE_CHECKING:
+    import ssl
+
     from starlette.requests import HTTPConnection, Request
     from starlette.responses import Response
     from starlette.websockets import WebSocket
@@ -264,16 +265,12 @@ class PageServer(Way["_Viewer"]):
         import uvicorn
 
         app, page = self._app(), self.page
-        context: ssl.SSLContext | None = None
-        if page.certificate is not None:
-            context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-            context.load_cert_chain(page.certificate, page.key)
         settings = uvicorn.Config(
             app,
             log_config=None,
             access_log=False,
             lifespan="off",
-            http=entrance(self._lobby, context),
+            http=entrance(self._lobby, page.tls()),
             ws="websockets-sansio",
             ws_max_size=LIMIT,
             ws_ping_interval=2.0,

@@ -29,7 +29,7 @@ class Seat:
 
     Raises:
         ConfigError: A robot of this name runs already, the folder for sockets
-            belongs to somebody else, or a package of the page is missing.
+            belongs to somebody else, or a package of the page or its certificate is missing.
     """
 
     def __init__(self, name: str, *, socket: bool, page: Page | None = None) -> None:
@@ -37,6 +37,7 @@ class Seat:
             from esair.seat._page import import_packages
 
             import_packages()
+            page.tls()  # what is wrong with it is told before anything moves
         self._wanted = page
         self._page: PageServer | None = None
         self._place = _place(name) if socket else None
