@@ -629,6 +629,34 @@ async def test_a_message_names_no_class(rover, raw, act: str):
         assert "antigravity" not in sys.modules
 
 
+@pytest.mark.promise("RS-8")
+async def test_of_several_mistakes_each_is_told(rover, raw, tmp_path):
+    """What is added from the file gets the words that the check of the file has."""
+    driver = f"{__name__}:Blind"
+    text = f'[robot]\nname = "rover"\n[behavior.blind]\ndriver = "{driver}"\n'
+    text += f'[sensor.sonar]\ndriver = "{__name__}:Distance"\n'
+    text += f'[sensor.bumper]\ndriver = "{__name__}:Distance"\n'
+    (file := tmp_path / "robot.toml").write_text(text)
+    async with rover() as robot, raw() as client:
+        robot.source = (file, False)
+        answer = await client.do("1", "add", name="blind")
+    told = answer["error"]["text"]
+    assert "sonar" in told
+    assert "bumper" in told
+
+
+class Distance(esair.Sensor[float]):
+    async def read(self) -> float:
+        return 1.0
+
+
+class Blind(esair.Reaction):
+    sonar = esair.reads(float)
+    bumper = esair.reads(float)
+
+    def react(self, sonar: float, bumper: float) -> None: ...
+
+
 @pytest.mark.fault("H15")
 def test_no_decoder_for_code_exists():
     """Nothing in the seat can turn a message into code."""

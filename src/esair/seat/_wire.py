@@ -96,13 +96,19 @@ def outcome(name: str | None, result: Any) -> dict[str, Any]:
 def failure(name: str | None, error: BaseException) -> dict[str, Any]:
     """Return the answer to a message that was not done."""
     kind = type(error).__name__ if isinstance(error, EsairError) else "EsairError"
-    told = str(error) if isinstance(error, EsairError) else describe(error)
     return {
         "v": VERSION,
         "id": name,
         "ok": False,
-        "error": {"type": kind, "text": told[:4096]},
+        "error": {"type": kind, "text": _told_by(error)[:4096]},
     }
+
+
+def _told_by(error: BaseException) -> str:
+    """Say what is wrong; of several mistakes each."""
+    if isinstance(error, ExceptionGroup):
+        return "; ".join(map(_told_by, error.exceptions))
+    return str(error) if isinstance(error, EsairError) else describe(error)
 
 
 def _bad(told: str) -> BadValueError:
