@@ -559,6 +559,16 @@ def test_a_message_has_all_that_json_has(tmp_path: Path, value: object) -> None:
     assert json.loads(message.data) == {"value": value}
 
 
+@pytest.mark.promise("REC-2")
+def test_facts_that_are_no_text_are_escaped(tmp_path: Path) -> None:
+    """A file may have any bytes in its name, that of the robot's configuration too."""
+    path = tmp_path / "run.mcap"
+    segment = Segment(path)
+    segment.note("configuration", {"path": os.fsdecode(b"caf\xe9.toml")})
+    segment.close()
+    assert facts_of(path)["configuration"] == {"path": "caf\\udce9.toml"}
+
+
 @pytest.mark.promise("REC-4")
 def test_a_name_that_another_robot_takes_first_is_not_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -111,8 +111,12 @@ class Segment:
         return self._out.size
 
     def note(self, name: str, facts: Mapping[str, str]) -> None:
-        """Write facts about the whole recording."""
-        self._guarded(self._writer.write_metadata, name, dict(facts))
+        """Write facts about the whole recording; what is no text in them is escaped."""
+        # The name of a file may be any bytes.
+        texts = {
+            k: v.encode(errors="backslashreplace").decode() for k, v in facts.items()
+        }
+        self._guarded(self._writer.write_metadata, name, texts)
 
     def write(self, topic: str, schema: str, message: Any, when: float) -> None:
         """Write a message."""
