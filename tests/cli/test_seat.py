@@ -1,11 +1,13 @@
 """``esair top``, ``stop``, ``set`` and the others, as a user calls them."""
 
 import contextlib
+import fcntl
 import json
 import os
 import re
 import select
 import signal
+import socket
 import time
 from pathlib import Path
 
@@ -203,6 +205,34 @@ def test_what_a_device_says_cannot_reach_the_terminal_raw(esair, robot):
         shown = esair(*words)
         assert "\x1b" not in shown
         assert "\u202e" not in shown
+
+
+@pytest.mark.promise("OPS-2")
+@pytest.mark.parametrize(
+    ("words", "told", "code"),
+    [
+        (["mute", "always", "nan", "x"], "expected finite numbers", 1),
+        (["put", "always", "1e999"], "expected finite numbers", 1),
+        (["ask", "always", "Go", "x=NaN"], "expected finite numbers", 1),
+        (["put", "always", "{bad"], "begins as JSON, and is none", 2),
+        (["put", "always", "[" * 5000 + "]" * 5000], "begins as JSON", 2),
+    ],
+)
+def test_what_cannot_be_sent_is_told_in_a_line(
+    esair, monkeypatch, tmp_path, words, told, code
+):
+    """A number or a text that no message can have, before anything reaches the robot."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    (place := tmp_path / "esair").mkdir(mode=0o700)
+    with (
+        socket.socket(socket.AF_UNIX) as robot,
+        (place / "rover.lock").open("w") as lock,
+    ):
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        robot.bind(str(place / "rover.sock"))
+        robot.listen()
+        (line,) = esair(*words, code=code).splitlines()
+    assert told in line
 
 
 @pytest.mark.promise("OPS-2")

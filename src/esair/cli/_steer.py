@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from esair.cli._errors import CANNOT_USE, NOT_DONE, show, tell
 from esair.cli._options import AsJson, Which
-from esair.exceptions import describe
+from esair.exceptions import ConfigError, describe
 from esair.seat import ACTS, Field, connect, robots, table_of
 from esair.values import printable
 
@@ -61,18 +61,12 @@ def verb_of(name: str) -> Callable[..., int]:
         bound.apply_defaults()
         said = {each: bound.arguments.pop(each) for each in options}
         fields = bound.arguments
-        for each, field in act.fields.items():
-            value = fields[each]
-            if name == "stop":
-                fields[each] = _sentence(value) or field.default
-            elif not field.is_table:
-                fields[each] = value if field.is_number else field.of_word(value)
-            elif all("=" in word for word in value):
-                fields[each] = table_of(value)
-            else:
-                wrong = next(word for word in value if "=" not in word)
-                tell(f"expected name=value, not {printable(wrong)}")
-                return CANNOT_USE
+        try:
+            for each, field in act.fields.items():
+                fields[each] = _value(fields[each], field, of=name)
+        except ConfigError as error:
+            tell(printable(str(error)))
+            return CANNOT_USE
         if said.get("everyone") and (names := [*robots()]):
             return _do_all(names, name, fields, said["machine"])
         # None of no name tells that no robot runs.
@@ -84,6 +78,22 @@ def verb_of(name: str) -> Callable[..., int]:
     verb.__annotations__ = {n: p.annotation for n, p in signature.parameters.items()}
     vars(verb)["__signature__"] = signature
     return verb
+
+
+def _value(typed: Any, field: Field, *, of: str) -> Any:
+    """Return the value of a field as it was typed.
+
+    Raises:
+        ConfigError: It is none.
+    """
+    if of == "stop":
+        return _sentence(typed) or field.default
+    if not field.is_table:
+        return typed if field.is_number else field.of_word(typed)
+    wrong = next((word for word in typed if "=" not in word), None)
+    if wrong is not None:
+        raise ConfigError("command", of, f"expected name=value, not {wrong}")
+    return table_of(typed)
 
 
 def _sentence(words: tuple[str, ...]) -> str:

@@ -533,7 +533,7 @@ def value_of(word: str) -> Any:
     """Return a typed word as a value: JSON, else a text; raise for JSON that is none."""
     try:
         return json.loads(word)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         if word[:1] not in {"{", "[", '"'}:
             return word
         told = f"it begins as JSON, and is none: {error}"

@@ -119,7 +119,10 @@ class Client:
         message = {"v": VERSION, "id": name, "act": act, **(fields or {})}
         if until is not None:
             message["until"] = until
-        line = encode(message)
+        try:
+            line = encode(message)
+        except ValueError:
+            raise BadValueError(act, "", "expected finite numbers") from None
         if len(line) > LIMIT:
             raise BadValueError(act, "", f"expected at most {LIMIT} bytes")
         try:
