@@ -140,6 +140,10 @@ class Files:
 
     def change(self, path: Path, old: str, new: str) -> None:
         text = path.read_text()
+        old, new = (
+            each.replace("MODULE", self.module).replace("PORT", str(self.port))
+            for each in (old, new)
+        )
         assert old in text
         path.write_text(text.replace(old, new, 1))
 
@@ -189,6 +193,16 @@ def test_a_pair_without_a_mistake(files: Files) -> None:
         ("rover", "sensor.sonar", "sensor.base", "sensor.base", "already"),
         ("rover", ":Dock", ":Docked", "docking.requests", "not derived from"),
         ("rover", '"float"', '"bool"', "base.sensor.sonar.type", "gives float"),
+        ("rover", '"float"', '"MODULE:No"', "sonar.type", "no attribute 'No'"),
+        ("rover", '"float"', '"MODULE:Drive"', "sonar.type", "the class of a value"),
+        ("rover", '"float"', '"os:system"', "sonar.type", "the class of a value"),
+        (
+            "rover",
+            '["tcp/127.0.0.1:PORT"]',
+            '"tcp/127.0.0.1:PORT"',
+            "network.connect",
+            "expected a list, each a string",
+        ),
         ("rover", 'type = "float"', "link_rate = 0", "sonar.link_rate", "more than 0"),
     ],
 )

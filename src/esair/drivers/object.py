@@ -119,29 +119,29 @@ def _step(found: Any, step: tuple[str, Any]) -> Any:
     return found(*told, **named)
 
 
-def imported(owner: Resource, library: str, *, hint: str) -> Callable[..., Any]:
+def imported(
+    owner: Resource, library: str, *, hint: str, field: str = "library"
+) -> Callable[..., Any]:
     """Return the class or function that ``module:name`` names.
 
     Raises:
         ConfigError: There is none, or it cannot be called.
     """
+
+    def wrong(told: str) -> ConfigError:
+        return ConfigError(owner.name, field, told)
+
     module, colon, name = library.partition(":")
     if not (module and colon and name):
-        raise ConfigError(
-            owner.name, "library", f"expected 'module:Class', not {library!r:.80}"
-        )
+        raise wrong(f"expected 'module:Class', not {library!r:.80}")
     try:
         found = getattr(importlib.import_module(module), name)
     except ModuleNotFoundError as error:
-        raise ConfigError(
-            owner.name, "library", f"{error.name!r} is not installed; {hint}"
-        ) from error
+        raise wrong(f"{error.name!r} is not installed; {hint}") from error
     except Exception as error:  # some packages refuse to be imported on some boards
-        raise ConfigError(
-            owner.name, "library", f"{library!r} cannot be used: {describe(error)}"
-        ) from error
+        raise wrong(f"{library!r} cannot be used: {describe(error)}") from error
     if not callable(found):
-        raise ConfigError(owner.name, "library", f"{library!r} is no class")
+        raise wrong(f"{library!r} is no class")
     made: Callable[..., Any] = found
     return made
 

@@ -16,12 +16,14 @@ The other robot has to share them: ``[share.sonar]``, ``[share.wheels]``.
 from __future__ import annotations
 
 import asyncio
+import inspect
 import math
 from collections.abc import AsyncIterator
 from typing import Any, Final, Unpack
 
 import attrs
 
+from esair.abc import Component
 from esair.buses import Inbox
 from esair.buses.peer import PeerBus
 from esair.drivers.object import imported
@@ -86,7 +88,12 @@ def _type_of(owner: Sensor[Any] | Actuator[Any], kind: Any) -> Any:
         if kind in _BUILT_IN:
             kind = _BUILT_IN[kind]
         else:
-            kind = imported(owner, kind, hint="install the package that has it")
+            hint, named = "install the package that has it", kind
+            kind = imported(owner, named, hint=hint, field="type")
+            is_part = isinstance(kind, type) and issubclass(kind, Component)
+            if is_part or inspect.isroutine(kind):
+                told = f"expected the class of a value, not {named!r:.80}"
+                raise ConfigError(owner.name, "type", told)
     if owner.bus is not None and kind is not Any:
         owner.bus.declare(kind)
     return kind
