@@ -309,6 +309,17 @@ def test_a_broken_configuration_is_exit_code_2(folder, start) -> None:
     assert not (where / "log.jsonl").exists()
 
 
+@pytest.mark.parametrize("verb", ["run", "sim", "check"])
+def test_a_link_to_itself_is_no_configuration(
+    esair_command, capsys, tmp_path, verb
+) -> None:
+    """It is told as every file that cannot be read."""
+    (tmp_path / "robot.toml").symlink_to("robot.toml")
+
+    assert esair_command(verb, str(tmp_path / "robot.toml")) == 2
+    assert "it cannot be read: Too many levels" in capsys.readouterr().err
+
+
 def test_each_wrong_value_of_an_option_is_told(folder, start) -> None:
     """At once, as exit code 2, and nothing is opened."""
     where = folder("Once")

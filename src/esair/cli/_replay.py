@@ -96,8 +96,9 @@ def _robot_of(made_of: str, *, simulated: bool) -> esair.Robot:
     if config.is_of_module(made_of) or made_of.endswith(".py"):
         return config.robot_of(made_of)
     path = Path(made_of)
+    described = config.load(path, simulated=simulated)
     sys.path.insert(0, str(path.resolve().parent))
-    return config.build(config.load(path, simulated=simulated))
+    return config.build(described)
 
 
 def _check(made_of: str) -> int:

@@ -74,8 +74,8 @@ def _drive(
     """Run the robot of a file until it ends, or until a signal."""
     wrong = wrong_seconds(options.seconds)
     console = Console(stderr=True, highlight=False)
-    sys.path.insert(0, str(file.resolve().parent))  # modules imported while it runs
     described = config.load(file, simulated=simulated)
+    sys.path.insert(0, str(file.resolve().parent))  # modules imported while it runs
     extra, mistakes = _extra(described, options)
     mistakes += _place(options.placement or [], described)
     for mistake in mistakes:
