@@ -4,10 +4,13 @@ import contextlib
 import fcntl
 import json
 import os
+import pty
 import re
 import select
 import signal
 import socket
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -173,6 +176,23 @@ def test_a_robot_is_watched_and_steered(esair, robot):
     assert "its Python code is as the program has loaded it" in told_now
     assert "no such part" in esair("add", "nobody", code=1)
     assert "did you mean" in esair("why", "moter", code=1)
+
+
+@pytest.mark.promise("OPS-2")
+@pytest.mark.long
+def test_a_terminal_that_cannot_draw_gets_the_table_once(robot):
+    """As plain text: a screen that lives would show nothing there."""
+    robot()
+    ours, theirs = pty.openpty()
+    words = [sys.executable, "-m", "esair", "top"]
+    environment = {**os.environ, "TERM": "dumb"}
+    top = subprocess.Popen(words, stdout=theirs, env=environment)
+    assert top.wait(timeout=30) == 0
+    shown = os.read(ours, 65536).decode()
+    os.close(ours)
+    os.close(theirs)
+    assert re.search(r"motor +ready +always", shown), shown
+    assert "\x1b" not in shown
 
 
 @pytest.mark.promise("OPS-2")

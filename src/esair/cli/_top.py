@@ -25,10 +25,11 @@ def top(*, robot: Which = None, machine: AsJson = False) -> int:
 
     State, holder, rate, age, late steps, losses and refusals of each component.
 
-    On a terminal until Ctrl-C, with what happens below; else once, as plain text.
+    On a terminal that can draw until Ctrl-C, with what happens below; else once, as
+    plain text.
     """
     with connect(robot) as client:
-        if machine or not sys.stdout.isatty():
+        if machine or not sys.stdout.isatty() or Console().is_dumb_terminal:
             _once(client, machine=machine)
             return 0
         with contextlib.suppress(KeyboardInterrupt):
