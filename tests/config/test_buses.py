@@ -46,6 +46,7 @@ def test_bytes_are_written_as_strings(project) -> None:
     [
         ('type = "serial"\nport = "x"\nbaudrte = 1', "bus.x.baudrte", "'baudrate'?"),
         ('type = "serial"\nport = "x"\nparity = "X"', "bus.x.parity", "one of 'N'"),
+        ('type = "serial"\nport = "x"\nstopbits = 0', "bus.x.stopbits", "1, 1.5 or 2"),
         ('type = "serial"', "bus.x.port", "expected the path"),
         (
             'type = "serial"\nport = "x"\nframing = "cob"',

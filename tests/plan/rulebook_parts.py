@@ -145,6 +145,10 @@ class WithoutPast(Sonar):
     history_size = 0
 
 
+class LessThanNothing(Sonar):
+    traffic = -1
+
+
 class Promised(Sonar):
     period: Any = "soon"
 

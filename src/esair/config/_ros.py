@@ -29,6 +29,7 @@ from esair.config._network import (
 )
 from esair.config._source import Source
 from esair.config._values import INVALID
+from esair.exceptions import ConfigError
 
 BUS: Final = "ros"
 _NAME: Final = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
@@ -77,6 +78,17 @@ class _Ros:
     topics: Mapping[str, Any] = attrs.field(factory=dict)
     services: Mapping[str, Any] = attrs.field(factory=dict)
     actions: Mapping[str, Any] = attrs.field(factory=dict)
+
+    def __attrs_post_init__(self) -> None:
+        for field, names in (
+            ("node", [self.node or "_"]),
+            ("namespace", self.namespace.strip("/").split("/")),
+        ):
+            if not all(re.fullmatch(r"[A-Za-z_]\w*", n, re.ASCII) for n in names if n):
+                told = f"expected letters, digits and '_', not {getattr(self, field)!r:.80}"
+                raise ConfigError("ros", field, told)
+        if self.domain is not None and not 0 <= self.domain <= 232:
+            raise ConfigError("ros", "domain", f"expected 0 to 232, not {self.domain}")
 
 
 _FORMS: Final = (

@@ -444,11 +444,16 @@ _OF_RESOURCE = _plain(
     ("seconds > 0", is_positive, "deadline set_up_period command_timeout"),
     ("seconds > 0 or None", is_positive, "own_timeout? period?"),
     ("a whole number > 0", _is_count, "fault_limit history_size max_repeat?"),
+    ("bytes >= 0", lambda value: type(value) is int and value >= 0, "traffic"),
     ("True or False", bool, "required blocking clamp safe_moves"),
 )
 _OF_DERIVED = _plain(("seconds > 0", is_positive, "budget?"))
 _OF_REACTION = _plain(
-    ("Hz > 0", lambda value: is_positive(value) and value <= _FASTEST, "rate?"),
+    (
+        f"Hz > 0, at most {_FASTEST:.0f}",
+        lambda value: is_positive(value) and value <= _FASTEST,
+        "rate?",
+    ),
     ("seconds > 0", is_positive, "budget?"),
     ("seconds >= 0", lambda value: value == 0 or is_positive(value), "mute_limit"),
     ("a whole number", lambda n: type(n) is int and n >= 0, "overrun_limit?"),

@@ -31,7 +31,13 @@ from esair.exceptions import (
 )
 from esair.framing import FRAMINGS, Cobs, Framing, Lines
 from esair.loop import Arrivals
-from esair.values import check_bytes, check_duration, check_seconds, check_whole
+from esair.values import (
+    check_bytes,
+    check_choice,
+    check_duration,
+    check_seconds,
+    check_whole,
+)
 from esair.watchdog import Outlet
 
 
@@ -145,6 +151,7 @@ class SerialBus(Bus):
                     name, field, f"expected true or false, not {level!r:.80}"
                 )
         check_seconds(name, "late_limit", late_limit)
+        check_choice(name, "stopbits", options.get("stopbits", 1), (1, 1.5, 2))
         self.port: str = port
         self.baudrate: int = check_whole(name, "baudrate", baudrate, 1)
         self.framing: Framing = make_framing(name, framing)
