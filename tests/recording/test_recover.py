@@ -130,6 +130,20 @@ def test_what_is_recovered_has_an_index_and_the_original_stays(tmp_path: Path) -
     assert len(messages) == found.messages == len(list(events_of(cut)))
 
 
+@pytest.mark.promise("REC-4")
+@pytest.mark.real_clock
+def test_what_is_damaged_was_not_whole(tmp_path: Path) -> None:
+    """Also where its end is there: zeros in it, and a bit that is another."""
+    path, damaged = tmp_path / "run.mcap", tmp_path / "damaged.mcap"
+    write(path, 60)
+    data = path.read_bytes()
+    assert recover(path).was_whole
+    place = data.index(b"zstd") + 50  # in a chunk
+    for begin, part in ((place, bytes(200)), (place, bytes([data[place] ^ 1]))):
+        damaged.write_bytes(data[:begin] + part + data[begin + len(part) :])
+        assert not recover(damaged).was_whole
+
+
 @pytest.mark.promise("REC-3")
 @pytest.mark.real_clock
 def test_the_oldest_segment_is_recovered_where_the_first_is_gone(

@@ -178,6 +178,6 @@ def recover(file: Path, /, *, out: Out = None) -> int:
     from esair.recording import recover as make_whole
 
     found = make_whole(file, out)
-    state = "it was whole" if found.was_whole else "it was cut"
+    state = "it was whole" if found.was_whole else "it was cut or damaged"
     print(f"{found.path}: {found.messages} messages; {state}")  # noqa: T201 - the output
     return 0

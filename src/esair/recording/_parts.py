@@ -85,7 +85,11 @@ class Message(NamedTuple):
     data: memoryview
 
 
-Part = Start | Fact | Shown | Topic | Message
+class End(NamedTuple):
+    """The end of a file, all of which is as it was written."""
+
+
+Part = Start | Fact | Shown | Topic | Message | End
 
 
 class _DamagedError(Exception):
@@ -141,6 +145,8 @@ def _parts_of(
     while len(head := file.read(9)) == 9:
         kind, length = _head(head)
         following = begin + 9 + length
+        if kind == _FOOTER and following + len(MAGIC) == end and not damaged.count:
+            yield End()
         if kind == _FOOTER or length == _BEGUN or following > end:
             return
         limit = CHUNK if kind == _CHUNK else PART

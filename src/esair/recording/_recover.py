@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from esair.exceptions import RecordingBrokenError
-from esair.recording._parts import MAGIC, Message, Shown, Start, Topic, parts_of
+from esair.recording._parts import MAGIC, Fact, Message, Shown, Start, Topic, parts_of
 from esair.recording._reading import segments_of
 
 RECOVERED = "-recovered"
@@ -27,7 +27,7 @@ class Recovered(NamedTuple):
     Attributes:
         path: The new file.
         messages: How many messages it has.
-        was_whole: Whether the original had its end already.
+        was_whole: Whether the original had its end already, and nothing was damaged.
     """
 
     path: Path
@@ -122,21 +122,20 @@ def recover(path: str | Path, target: str | Path | None = None) -> Recovered:
     """
     path = next(segments_of(Path(path)))
     new = Path(target) if target else path.with_stem(f"{path.stem}{RECOVERED}")
-    was_whole = is_whole(path)
     with replaced(new) as file:
-        messages = _copied(path, file)
+        messages, was_whole = _copied(path, file)
     return Recovered(new, messages, was_whole)
 
 
-def _copied(path: Path, file: BinaryIO) -> int:
-    """Write what is readable of a recording; return how many messages there were."""
+def _copied(path: Path, file: BinaryIO) -> tuple[int, bool]:
+    """Write what is readable of a recording; return how much it is, and if it is all."""
     from mcap.writer import CompressionType, Writer
 
     writer = Writer(file, compression=CompressionType.ZSTD)
     schemas: dict[int, int] = {0: 0}
     channels: dict[int, int] = {}
     messages = 0
-    begun = False
+    begun = was_whole = False
     for part in parts_of(path):
         if isinstance(part, Start):
             if begun:
@@ -164,10 +163,12 @@ def _copied(path: Path, file: BinaryIO) -> int:
                     part.sequence,
                 )
                 messages += 1
-        else:
+        elif isinstance(part, Fact):
             writer.add_metadata(part.name, part.told)
+        else:
+            was_whole = True
     if not begun:
         raise RecordingBrokenError(str(path), "it is no recording of esair")
     finish: Any = writer.finish  # it says no types
     finish()
-    return messages
+    return messages, was_whole

@@ -239,14 +239,18 @@ class Replay:
         if player is not None and player.error is not None and not found:
             raise player.error
         lost = comparison.lost or self._dropped
-        spoiled = (kept and kept.spoiled) or ""
+        short = (kept and kept.spoiled) or ""
+        if not short and lost:
+            short = f"{lost} events were not recorded"
+        if not short and "end" not in self.facts:
+            short = "it has no end: what came last may be missing"
         return Outcome(
             equal=comparison.equal,
             divergence=found[0] if found else None,
             turns=span.turns if player is None else player.turns,
             seconds=span.moment - span.began,
             took=time.monotonic() - began,
-            short=spoiled or (f"{lost} events were not recorded" if lost else ""),
+            short=short,
             late="" if player is None else player.late,
         )
 
