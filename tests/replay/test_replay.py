@@ -521,6 +521,24 @@ def test_what_hides_is_named_too(tmp_path: Path) -> None:
     }
 
 
+class Works(esair.Behavior):
+    """In threads that the robot orders, and in one that it does not."""
+
+    async def run(self) -> None:
+        from anyio import to_thread
+
+        await asyncio.to_thread(str)
+        await to_thread.run_sync(str)
+
+
+@pytest.mark.promise("REP-3")
+def test_a_thread_that_nobody_orders_is_named(tmp_path: Path) -> None:
+    """With the way that repeats."""
+    (found,) = check(Works, tmp_path)
+    assert found.call == "anyio.to_thread.run_sync"
+    assert "asyncio.to_thread" in found.why
+
+
 @pytest.mark.promise("REP-3")
 def test_what_repeats_is_not_named(tmp_path: Path) -> None:
     """Neither the random numbers of the robot, nor its time, nor drivers."""

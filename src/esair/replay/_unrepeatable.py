@@ -26,6 +26,7 @@ _RANDOM = "randomness that no seed repeats; esair.random is seeded and recorded"
 _FILE = "a file: a replay reads what is in it then"
 _NETWORK = "the network; what comes in that way should come from a sensor"
 _THREAD = "a thread or process of its own, which nobody orders"
+_ANYIO = "a thread of anyio, which nobody orders; those of asyncio.to_thread repeat"
 
 _CALLS: Final = {
     name: why
@@ -42,17 +43,21 @@ _CALLS: Final = {
             numpy.random os.getrandom os.urandom random secrets uuid.uuid1
             uuid.uuid4
         """,
+        _ANYIO: "anyio.from_thread anyio.to_thread",
         _FILE: """
-            glob io.open os.listdir os.open os.path.exists os.path.getmtime
-            os.path.getsize os.path.isdir os.path.isfile os.scandir os.stat os.walk
-            pathlib.Path shutil sqlite3 tempfile
+            anyio.Path anyio.open_file glob io.open os.listdir os.open
+            os.path.exists os.path.getmtime os.path.getsize os.path.isdir
+            os.path.isfile os.scandir os.stat os.walk pathlib.Path shutil sqlite3
+            tempfile
         """,
         _NETWORK: """
-            aiohttp asyncio.open_connection asyncio.start_server http.client httpx
+            aiohttp anyio.connect_tcp anyio.connect_unix anyio.create_tcp_listener
+            anyio.create_udp_socket asyncio.open_connection asyncio.start_server http.client httpx
             requests socket urllib
         """,
         _THREAD: """
-            _thread.start_new_thread asyncio.create_subprocess_exec
+            _thread.start_new_thread anyio.open_process anyio.run_process
+            anyio.to_interpreter anyio.to_process asyncio.create_subprocess_exec
             asyncio.create_subprocess_shell concurrent.futures multiprocessing
             os.fork os.popen os.system subprocess threading.Thread threading.Timer
         """,
