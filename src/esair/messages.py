@@ -656,7 +656,8 @@ class Recording:
     Attributes:
         path: The file, if it is named ``.mcap``; else a folder, made if it is not there,
             which gets one named by robot and time.
-        max_bytes: How many bytes all segments may have; the oldest goes.
+        max_bytes: How many bytes all segments of a run may have; the oldest goes. What
+            earlier runs have left stays.
         min_free: How many bytes stay free on the disk; the oldest segment goes first.
         segment: How many bytes one segment may have.
     """
