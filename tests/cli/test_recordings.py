@@ -156,6 +156,17 @@ def test_a_file_that_is_none_is_told(verb: str, tmp_path: Path, capsys) -> None:
     assert run(verb, tmp_path / "nowhere.mcap") == 2
 
 
+@pytest.mark.parametrize("verb", ["log", "recover", "replay"])
+@pytest.mark.parametrize("package", ["lz4", "zstandard"])
+def test_what_reads_recordings_is_an_extra(
+    recording: Path, monkeypatch, capsys, verb: str, package: str
+) -> None:
+    """Who has the command line alone hears what to install."""
+    monkeypatch.setitem(sys.modules, package, None)
+    assert run(verb, recording) == 2
+    assert 'pip install "esair[record]"' in capsys.readouterr().err
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("verb", ["log", "plot", "recover", "replay"])
 def test_a_file_that_is_no_recording_is_one_line(verb, tmp_path, capsys) -> None:

@@ -27,7 +27,7 @@ CANNOT_USE: Final = (
 )
 
 _EXTRAS: Final = {
-    **dict.fromkeys(("mcap", "foxglove"), "record"),
+    **dict.fromkeys(("mcap", "foxglove", "lz4", "zstandard"), "record"),
     **dict.fromkeys(("starlette", "uvicorn", "websockets"), "page"),
     **dict.fromkeys(("cantools", "matplotlib", "numpy", "pymunk"), "sim"),
 }
