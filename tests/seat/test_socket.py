@@ -490,6 +490,8 @@ async def test_the_operator_has_rights_of_its_own(rover, raw):
         refused = await client.do("3", "resume")
         assert refused["error"]["type"] == "AccessDeniedError"
         assert "set" in refused["error"]["text"]
+        refused = await client.do("4", "remove", name="wander")
+        assert "'operator' may not remove 'wander'" in refused["error"]["text"]
         assert robot.halted is not None
 
 

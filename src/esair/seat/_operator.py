@@ -170,7 +170,7 @@ class Console:
                     )
                 self.again += 1
                 return known[1]
-            self._check_right(act)
+            self._check_right(act, str(fields.get(act.about) or ""))
             if session.busy >= AT_A_TIME and not act.open:
                 raise BusyError("operator", "number of acts at a time", AT_A_TIME)
         except Exception as error:
@@ -214,7 +214,7 @@ class Console:
             EsairError: As `add` and `replace` of the supervisors.
         """
         act, old, driver, values = coming
-        self._check_right(act)
+        self._check_right(act, old or driver)
         owner = None if old is None else self.supervisor_of(old)
         source = self.robot.source
         folder = Path.cwd() if source is None else source[0].resolve().parent
@@ -340,12 +340,15 @@ class Console:
             raise ConfigError("operator", "act", told)
         return act
 
-    def _check_right(self, act: Act) -> None:
+    def _check_right(self, act: Act, about: str) -> None:
         if act.looks or act.open or self.rights.may(act.name):
             return
         allowed = ", ".join(self.rights.allow) or "nothing"
         raise AccessDeniedError(
-            self.name, self.robot.name, act.name, f"[operator] allows {allowed}"
+            self.name,
+            about or self.robot.name,
+            act.name,
+            f"[operator] allows {allowed}",
         )
 
     def _outcome(self) -> asyncio.Future[Any]:
