@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from typing import Any
 
 import pytest
@@ -59,6 +60,48 @@ async def test_a_stop_does_not_cut_short_a_clean_up(verb: str) -> None:
         assert await command == []
     assert ended == [0.5]
     assert loop.time() == 0.5
+
+
+class Lingers(esair.Actuator[float]):
+    """Has a motion 1.5 s after it was told to, whatever is cancelled."""
+
+    safe = 0.0
+    deadline = 0.3
+
+    def __init__(self, told: list[float]) -> None:
+        super().__init__(name="wheels")
+        self.told = told
+
+    async def write(self, command: float) -> None:
+        loop = asyncio.get_running_loop()
+        until = loop.time() + (1.5 if command else 0.0)
+        while loop.time() < until:
+            with contextlib.suppress(asyncio.CancelledError):
+                await asyncio.sleep(until - loop.time())
+        self.told.append(command)
+
+
+class Pushes(esair.Behavior):
+    wheels = esair.writes(float)
+
+    async def run(self) -> None:
+        await self.wheels.write(0.5)
+        await asyncio.sleep(3600.0)
+
+
+@pytest.mark.promise("CALL-2", "AC-4")
+async def test_a_stop_makes_safe_what_was_being_replaced() -> None:
+    """A write that outlives the replacement is not the last thing on the wire."""
+    told: list[float] = []
+    async with esair.Robot(resources=[Lingers(told)], behaviors=[Pushes()]) as robot:
+        await asyncio.sleep(0.05)
+        replacing = robot.resources.replace("wheels", Lingers([]))
+        command = asyncio.ensure_future(replacing)
+        await asyncio.sleep(0.05)
+    with pytest.raises(esair.StoppingError):
+        await command
+    await asyncio.sleep(2.0)
+    assert told[-2:] == [0.5, 0.0]
 
 
 @pytest.mark.fault("M20", "B14")

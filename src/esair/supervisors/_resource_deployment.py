@@ -290,6 +290,8 @@ class ResourceDeployment:
         self.commands.changed()
         try:
             await self._make_safe_to_leave(name, until)
+            if self.commands.is_closed:  # the stop makes it safe, for as long as it has
+                raise StoppingError("resources", self.commands.phase.value)
             if keep:
                 error = BeingReplacedError(name, "it is being replaced")
                 channel.down(ResourceState.LOST, error)
