@@ -232,9 +232,7 @@ def check_choice(component: str, field: str, value: object, choices: Iterable[T]
     )
 
 
-def tls_context(
-    component: str, certificate: Path, key: Path, *, prefix: str = ""
-) -> ssl.SSLContext:
+def tls_context(component: str, certificate: Path, key: Path) -> ssl.SSLContext:
     """Return how a server speaks TLS.
 
     Raises:
@@ -246,14 +244,14 @@ def tls_context(
     for field, file in (("certificate", certificate), ("key", key)):
         if not os.path.isfile(file):
             told = f"there is no file {str(file)!r}"
-            raise ConfigError(component, prefix + field, told)
+            raise ConfigError(component, field, told)
     try:
         context.load_cert_chain(certificate, key, password=lambda: "")  # asks nobody
     except (OSError, ValueError) as error:
         told = (
             f"expected a certificate in PEM, and its key without a passphrase: {error}"
         )
-        raise ConfigError(component, f"{prefix}certificate", told) from None
+        raise ConfigError(component, "certificate", told) from None
     return context
 
 

@@ -196,13 +196,6 @@ def test_a_pair_without_a_mistake(files: Files) -> None:
         ("rover", '"float"', '"MODULE:No"', "sonar.type", "no attribute 'No'"),
         ("rover", '"float"', '"MODULE:Drive"', "sonar.type", "the class of a value"),
         ("rover", '"float"', '"os:system"', "sonar.type", "the class of a value"),
-        (
-            "rover",
-            '["tcp/127.0.0.1:PORT"]',
-            '"tcp/127.0.0.1:PORT"',
-            "network.connect",
-            "expected a list, each a string",
-        ),
         ("rover", 'type = "float"', "link_rate = 0", "sonar.link_rate", "more than 0"),
     ],
 )

@@ -300,7 +300,7 @@ async def test_a_request_that_finds_no_room_is_declined() -> None:
                 "listen": ["tls/127.0.0.1:1"],
                 "tls": Tls(Path(__file__), Path(__file__), Path(__file__)),
             },
-            "tls.certificate: expected a certificate in PEM",
+            "tls.ca: expected the certificate of the authority",
         ),
     ],
 )
