@@ -9,7 +9,7 @@ from tests.net.parts import STILL, Dock, Docked, Hand, Pair, Twist
 
 import esair
 from esair.drivers.peer import PeerActuator, PeerSensor
-from esair.peers import Sharing
+from esair.peers import Share, Sharing, peer_behavior
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -143,3 +143,42 @@ async def test_ask() -> None:
         answer = await hand.ask("far_docking", Dock(2), progress=news.append)
         assert answer == Docked(2)
         assert news == [0.5]
+
+
+class Asks(esair.Behavior):
+    """Asks the other robot, before it answers."""
+
+    def __init__(self, *, name: str, other: str) -> None:
+        super().__init__(name=name)
+        self.other = other
+
+    @esair.answers
+    async def dock(self, request: Dock) -> Docked:
+        if request.bay:
+            return await self.ask(self.other, Dock(request.bay - 1), timeout=None)
+        return Docked(0)
+
+
+@pytest.mark.promise("BS-5", "NET-2")
+@pytest.mark.parametrize("bays", [1, 9])
+async def test_a_circle_over_two_robots_is_refused_at_once(bays: int) -> None:
+    """With the path, where it closes; who asks the other one and gets an answer does not."""
+    pair, hand = Pair(), Hand()
+    pair.to_base.declare(Dock)
+    pair.to_base.declare(Docked)
+    here = peer_behavior("theirs", pair.to_rover, [Dock], remote="ours")
+    pair.docking = Asks(name="docking", other="theirs")  # type: ignore[assignment]
+    there = Asks(name="ours", other="far_docking")
+    share = Sharing(bus=pair.to_base, shares=[Share("ours", "ask")])
+    async with pair.base(here), pair.rover(hand, there, share):
+        await asyncio.sleep(1.0)
+        asked = hand.ask("far_docking", Dock(bays), timeout=None)
+        async with asyncio.timeout(1.0):
+            if bays == 1:
+                assert await asked == Docked(0)
+                return
+            with pytest.raises(
+                esair.EsairError, match="far_docking -> ours -> far_docking"
+            ):
+                await asked
+        assert await hand.ask("far_docking", Dock(1), timeout=1.0) == Docked(0)

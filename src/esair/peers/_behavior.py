@@ -40,6 +40,7 @@ class PeerBehavior(Behavior):
         self._numbers = itertools.count()
         loop = asyncio.get_running_loop()
         self._told = News(loop, ("peer", self.name, "progress"), self._hear)
+        self._numbered = News(loop, ("peer", self.name, "asks"), self._number)
 
     async def run(self) -> None:
         """Hand each request on, those of one class one after the other."""
@@ -58,10 +59,29 @@ class PeerBehavior(Behavior):
                 pass  # the asker has it
             finally:
                 del self._working[number]
+                ours = request._order  # noqa: SLF001 - what waits here for it
+                for asked, order in tuple(self.bus.asked_for.items()):
+                    if order is ours:
+                        del self.bus.asked_for[asked]
+
+    def _number(self, number: int, asked: int) -> None:
+        if number in self._working:
+            self.bus.asked_for[asked] = self._working[number]._order  # noqa: SLF001
+
+    def _cause(self, request: Request[Any]) -> int | None:
+        """Return which ask of the peer a request is made for, if it is for one."""
+        order: Any = request._order  # noqa: SLF001
+        while order is not None and not order.over:
+            for number, task in self.bus.worked_on.items():
+                if task is order.task:
+                    return number
+            order = order.parent
+        return None
 
     async def _hand_on(self, number: int, request: Request[Any]) -> None:
         tag = "peer", self.name, "ask"
-        how, data = await outside(tag, partial(self._ask, number, request.data))
+        cause = self._cause(request)
+        how, data = await outside(tag, partial(self._ask, number, request.data, cause))
         try:
             value = decode(data, self.bus.kinds)
         except CodecError as error:
@@ -81,18 +101,25 @@ class PeerBehavior(Behavior):
         else:
             raise OutcomeUnknownError(self.name, str(value))
 
-    async def _ask(self, number: int, request: object) -> tuple[str, bytes]:
+    async def _ask(
+        self, number: int, request: object, cause: int | None
+    ) -> tuple[str, bytes]:
         """Ask over the network; what comes of it is plain, and kept in a recording."""
         bus = self.bus
 
         def progress(value: Any) -> None:
             self._told.tell(number, encode(value, bus.kinds))
 
+        def numbered(asked: int) -> None:
+            self._numbered.tell(number, asked)
+            if cause is not None:
+                bus.say("because", asked, cause)
+
         how, value = "declined", f"{bus.name!r} is not there"
         try:
             if bus.is_open:
                 how, value = await bus.request(
-                    "ask", self.remote, request, progress=progress
+                    *("ask", self.remote, request), progress=progress, numbered=numbered
                 )
         except DeviceLostError as error:
             how, value = "lost", error.detail

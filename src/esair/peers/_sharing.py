@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import collections
 import contextlib
 import math
 from collections.abc import Iterable
@@ -117,6 +118,10 @@ class Sharing(Behavior):
         self._feeds: dict[str, asyncio.Task[None]] = {}
         self._pauses: dict[str, float] = {}
         self._asks: dict[int, asyncio.Task[None]] = {}
+        self.bus.worked_on = self._asks
+        self._causes: collections.deque[tuple[int, int]] = collections.deque(
+            maxlen=_ASKS
+        )
         self._missing: set[int] = set()
         self._said_at: dict[str, float] = {}
         self._orders: asyncio.Queue[tuple[Any, ...]] = asyncio.Queue(64)
@@ -161,6 +166,8 @@ class Sharing(Behavior):
                     self._follow(tasks, parts[0])
                 elif what == "ask":
                     self._begin(tasks, since, *parts)
+                elif what == "because":
+                    self._causes.append((parts[0], parts[1]))
                 elif what == "cancel":
                     if parts[0] in self._asks:
                         self._asks[parts[0]].cancel()
@@ -333,13 +340,19 @@ class Sharing(Behavior):
         elif number in self._asks:
             return
         else:
-            task = tasks.create_task(self._work(number, name, request))
+            order = self.bus.asked_for.get(dict(self._causes).get(number, -1))
+            task = tasks.create_task(self._work(number, name, request, order))
             self._asks[number] = task
             task.add_done_callback(lambda _: self._asks.pop(number, None))
             return
         self._answer(number, "declined", told)
 
-    async def _work(self, number: int, name: str, request: Request[Any]) -> None:
+    async def _work(
+        self, number: int, name: str, request: Request[Any], order: Any
+    ) -> None:
+        if order is not None:
+            order.serve()  # it is done for one of this robot: a circle is seen
+
         def progress(value: Any) -> None:
             self.bus.say("progress", number, value)
 

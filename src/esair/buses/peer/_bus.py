@@ -118,6 +118,10 @@ class PeerBus(Bus):
         self._beating: asyncio.Task[None] | None = None
         self._numbers = itertools.count(secrets.randbits(31) << 20)
         self._pending: dict[int, _Request] = {}
+        self.worked_on: dict[int, asyncio.Task[None]] = {}
+        """What is done here for the peer, by the numbers of its asks."""
+        self.asked_for: dict[int, Any] = {}
+        """What each ask of the peer is for here, by its number: an order."""
         self._releases: dict[str, int] = {}
         """Of each actuator the release that has no answer yet."""
         self._followed: dict[Inbox[Any], tuple[str, float]] = {}
@@ -347,7 +351,7 @@ class PeerBus(Bus):
         elif parts is not None and what == "pending":
             for number in parts[0]:
                 self.say("answer", number, "lost", told)
-        elif parts is not None and what != "cancel":
+        elif parts is not None and what not in {"because", "cancel"}:
             self.say("answer", parts[0], "declined" if what == "ask" else "lost", told)
 
     def parts(self, what: str, body: bytes) -> tuple[Any, ...] | None:
@@ -428,11 +432,13 @@ class PeerBus(Bus):
         *parts: Any,
         progress: Callable[[Any], object] = lambda _: None,
         patience: float = math.inf,
+        numbered: Callable[[int], object] = lambda _: None,
     ) -> tuple[str, Any]:
         """Send what is answered, and wait for the answer: how it ended, and with what.
 
         With no answer for as long as the patience, in seconds, it ends as ``"silent"``,
-        with how long; no command is sent into a gap that is longer.
+        with how long; no command is sent into a gap that is longer. What is *numbered*
+        gets its number before it is sent.
 
         Raises:
             DeviceLostError: The peer was lost before it has answered.
@@ -453,6 +459,7 @@ class PeerBus(Bus):
         outcome = asyncio.get_running_loop().create_future()
         self._pending[number] = _Request(outcome, patience, progress, what == "ask")
         try:
+            numbered(number)
             self.say(what, number, *parts)
             limit = None if patience == math.inf else patience
             how, value = await within(outcome, limit)

@@ -31,6 +31,7 @@ FORMS: Final[Mapping[str, tuple[Any, ...]]] = {
     "write": (int, str, object),  # number, actuator, command
     "release": (int, str),
     "ask": (int, str, object),  # number, behavior, request
+    "because": (int, int),  # an ask's number, and that of the other side it is made for
     "cancel": (int,),
     "pending": (list,),  # the numbers of asks that have no answer yet
     "answer": (int, str, object),  # number, how, what
@@ -38,7 +39,9 @@ FORMS: Final[Mapping[str, tuple[Any, ...]]] = {
 }
 """What there is to say, and what each consists of."""
 
-FOR_OWNER: Final = frozenset({"follow", "write", "release", "ask", "cancel", "pending"})
+FOR_OWNER: Final = frozenset(
+    {"follow", "write", "release", "ask", "because", "cancel", "pending"}
+)
 """What asks for something here."""
 
 
