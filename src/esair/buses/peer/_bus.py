@@ -142,7 +142,8 @@ class PeerBus(Bus):
 
     def adopt(self, part: Any) -> None:
         """Have a part that was made for another bus of this name, and its classes."""
-        self._undeclared += part.bus._undeclared  # noqa: SLF001 - of this class
+        if isinstance(part.bus, PeerBus):
+            self._undeclared += part.bus._undeclared  # noqa: SLF001 - of this class
         super().adopt(part)
 
     # Its life: it beats from the first opening to its end, whether the peer is there or not.
