@@ -284,6 +284,16 @@ def test_a_file_that_cannot_be_read_is_one_error(project, path) -> None:
         config.load(project.folder / path)
 
 
+def test_a_program_is_no_configuration_and_its_error_says_what_to_do(project) -> None:
+    """How it runs, and who takes the robot in it; never a way that leads nowhere."""
+    program = project.folder / f"{project.module}.py"
+
+    with pytest.raises(ConfigError, match=r"'python .*\.py' runs it; .*\.py:robot"):
+        config.load(program)
+    with pytest.raises(ConfigError, match="run by its program"):
+        config.load(f"{program}:robot")
+
+
 @pytest.mark.fault("G05")
 def test_a_driver_that_needs_what_is_not_installed_says_so(project) -> None:
     """The missing module is named, and the line that wants it."""

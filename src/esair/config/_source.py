@@ -89,7 +89,8 @@ def read_source(path: str | os.PathLike[str], text: str | None = None) -> Source
     except ValueError as error:  # with "(at line 3, column 5)"
         reason = f"this is no TOML: {' '.join(str(error).split())}"
         if shown.endswith(".py"):
-            reason = f"this is a module: name the robot in it, {shown}:robot"
+            reason = f"this is a program, 'python {shown}' runs it; check and torture "
+            reason += f"take the robot in it: {shown}:robot"
         raise ConfigFileError(shown, None, "", reason) from None
     if sum(len(each) for each in data.values() if isinstance(each, dict)) > TABLES:
         raise ConfigFileError(shown, None, "", f"expected at most {TABLES} tables")
@@ -132,7 +133,10 @@ def _bytes_of(path: str | os.PathLike[str], shown: str) -> bytes:
     except ConfigFileError:
         raise
     except FileNotFoundError:
-        raise ConfigFileError(shown, None, "", "there is no such file") from None
+        reason = "there is no such file"
+        if ":" in shown:
+            reason += ": a robot of a module is run by its program, by esair.run(robot)"
+        raise ConfigFileError(shown, None, "", reason) from None
     except (OSError, ValueError) as error:  # ValueError: a null byte in the path
         reason = f"it cannot be read: {getattr(error, 'strerror', None) or error}"
         raise ConfigFileError(shown, None, "", reason) from None
