@@ -194,6 +194,7 @@ def test_a_pair_without_a_mistake(files: Files) -> None:
         ("rover", ":Dock", ":Docked", "docking.requests", "not derived from"),
         ("rover", '"float"', '"bool"', "base.sensor.sonar.type", "gives float"),
         ("rover", '"float"', '"MODULE:No"', "sonar.type", "no attribute 'No'"),
+        ("rover", '"float"', '"rovr:No"', "sonar.type", "put it beside the robot.toml"),
         ("rover", '"float"', '"MODULE:Drive"', "sonar.type", "the class of a value"),
         ("rover", '"float"', '"os:system"', "sonar.type", "the class of a value"),
         ("rover", 'type = "float"', "link_rate = 0", "sonar.link_rate", "more than 0"),

@@ -88,7 +88,7 @@ def _type_of(owner: Sensor[Any] | Actuator[Any], kind: Any) -> Any:
         if kind in _BUILT_IN:
             kind = _BUILT_IN[kind]
         else:
-            hint, named = "install the package that has it", kind
+            hint, named = "put it beside the robot.toml, or install it", kind
             kind = imported(owner, named, hint=hint, field="type")
             is_part = isinstance(kind, type) and issubclass(kind, Component)
             if is_part or inspect.isroutine(kind):
