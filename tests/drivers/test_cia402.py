@@ -283,6 +283,25 @@ async def test_what_a_drive_measures(wire: FakeCan, far: FakeDrive) -> None:
         assert state.bad_frames == 1
 
 
+@pytest.mark.promise("SC-3")
+async def test_a_drive_that_tells_nothing_more_is_lost(
+    wire: FakeCan, far: FakeDrive
+) -> None:
+    """Nor does one half of what it tells make a reading, with a half from before."""
+    state = made(DriveState, wire, name="state")
+    user = esair.Behavior(name="user", reads={"state": esair.reads(Any)}, writes={})
+    async with esair.Robot(resources=[state], behaviors=[user]) as robot:
+        reading = await user.state.reading(fresh=True)
+        far.stop()
+        for _ in range(20):
+            await asyncio.sleep(0.02)
+            wire.feed(0x285, bytes(4))
+        newest = await user.state.reading()
+        assert newest.sequence <= reading.sequence + 2
+        await asyncio.sleep(0.3)
+        assert robot.resources.query("state").losses == 1
+
+
 async def test_one_bus_has_one_sync(wire: FakeCan, far: FakeDrive) -> None:
     """Two devices share it; another period is refused; after the last it ends."""
     one, two = made(Drive, wire, sync=0.01), made(DriveState, wire, sync=0.01)

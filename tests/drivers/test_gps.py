@@ -359,3 +359,19 @@ def test_fixes_that_are_none_are_read_seldom(
     )
     fixes = [builder.feed(each % (n % 60)) for n in range(400) for each in good]
     assert fixes[-1] is not None
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("SC-3")
+async def test_without_a_fix_the_last_one_is_soon_not_current() -> None:
+    """The receiver speaks all the time, and knows no position any more."""
+    device, _, part = make(name="gps")
+    user = esair.Behavior(name="user", reads={"gps": esair.reads(Fix)}, writes={})
+    async with esair.Robot(resources=[device], behaviors=[user]) as robot:
+        await asyncio.sleep(3.0)
+        assert await user.gps.read()
+        part.fix = attrs.evolve(part.fix, quality=0)
+        await asyncio.sleep(4.0)
+        with pytest.raises(StaleReadingError):
+            await user.gps.read()
+        assert robot.resources.query("gps").losses == 0

@@ -264,3 +264,21 @@ async def test_after_a_loss_the_safe_command_is_the_first(line: FakeSerial) -> N
         await line.until(lambda _: True, timeout=20.0)
 
     assert set(line.sent) == {b"speed=0"}
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("SC-3")
+async def test_what_is_no_number_keeps_no_value_current(line: FakeSerial) -> None:
+    """A board that goes on speaking, of nothing, has been silent about its value."""
+    sensor = LineSensor(name="range", silent_after=0.5, bus=line)
+    user = esair.Behavior(name="user", reads={"range": esair.reads(float)}, writes={})
+    said = [b"range=2.5\n"]
+    line.repeat(lambda: said[0], 0.1)
+    async with esair.Robot(resources=[sensor], behaviors=[user]) as robot:
+        await asyncio.sleep(0.5)
+        assert await user.range.read() == 2.5
+        said[0] = b"range=nothing\n"
+        await asyncio.sleep(1.0)
+        with pytest.raises(esair.StaleReadingError):
+            await user.range.read()
+        assert robot.resources.query("range").losses == 0

@@ -47,7 +47,7 @@ from canopen.profiles.p402 import State402
 from canopen.sdo.exceptions import SdoAbortedError
 
 from esair.buses import CanBus, Frame, Inbox
-from esair.drivers._on_bus import SharedTask, ended, shared
+from esair.drivers._on_bus import SharedTask, ended, heard, shared
 from esair.drivers.canopen import read_eds
 from esair.drivers.canopen._node import Emergency, NodeSettings, OnNode, sdo_frames
 from esair.exceptions import (
@@ -588,7 +588,7 @@ class DriveState(OnDrive, Sensor[DriveReading]):
         told: bytes | None = None
         inbox = self.bus.frames(first, second, limit=64)
         with inbox:
-            async for frame in inbox:
+            async for frame in heard(self, inbox, self._silence):
                 if len(frame.data) < (6 if frame.id == first else 4):
                     self.bad_frames += 1
                 elif frame.id == first:
@@ -599,6 +599,7 @@ class DriveState(OnDrive, Sensor[DriveReading]):
                         _signed(frame.data[:4]) * self.velocity_factor,
                         state_of(int.from_bytes(told[:2], "little")),
                     )
+                    told = None  # each is told anew
 
 
 class Drive(DriveActuator, Actuator[float]):

@@ -291,8 +291,7 @@ class DbcSensor(Sensor[Any]):
         source: Of a message of J1939, the address of the node that sends it, or
             ``"any"``, which it is unless given: then the messages of all of them are
             readings, whatever their priority and whomever they are for.
-        silent_after: After how many seconds without a frame the node is lost; it may be
-            silent for ever if None.
+        silent_after: After how many seconds without a frame the node is lost; None: never.
         buffer: How many frames are kept until they are taken; then the newest win.
 
     Attributes:
@@ -338,6 +337,7 @@ class DbcSensor(Sensor[Any]):
         self.silent_after = silent_after
         if silent_after is not None:
             check_seconds(self.name, "silent_after", silent_after)
+            self.period = self.period or silent_after
         self.source = source
         self._ids = ids_from(self.name, self.codec.message, source)
         self._transport: Reassembly | None = None

@@ -236,7 +236,8 @@ class Gps(Sensor[Fix]):
     """A receiver that pushes where it is.
 
     It gives a value for each moment at which it knows its position; while it knows
-    none, indoors say, there is no reading that is fresh, and ``without_fix`` counts.
+    none, indoors say, the last one is current for a ``period`` of 2.5 s, no longer, and
+    ``without_fix`` counts.
 
     Args:
         sentences: The kinds of sentence that a fix is made of, of GGA and RMC; one
@@ -248,6 +249,7 @@ class Gps(Sensor[Fix]):
 
     bus: SerialBus
     deadline: float = 2.5
+    period: float | None = 2.5
 
     def __init__(
         self,

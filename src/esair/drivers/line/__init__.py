@@ -152,6 +152,7 @@ class LineSensor(_OnLine, Sensor[float]):
         self.silent_after = silent_after
         if silent_after is not None:
             check_seconds(self.name, "silent_after", silent_after)
+            self.period = self.period or silent_after
         self.bad_lines: int = 0
 
     @property

@@ -342,6 +342,8 @@ class OdriveState(_OnAxis, Sensor[AxisReading]):
     def __init__(self, **settings: Unpack[_SensorSettings]) -> None:
         super().__init__(**settings)
         self.bad_frames: int = 0
+        if self.period is None:  # it may have a heartbeat, and tell no estimates
+            self.period = self.heartbeat_timeout
 
     async def open(self) -> None:
         """Make sure that the axis is there."""

@@ -282,6 +282,7 @@ class RpLidar(Sensor[Scan]):
 
     bus: SerialBus
     deadline: float = 1.0
+    period: float | None = 1.0  # it may speak, and its laser not turn
 
     def __init__(self, **settings: Unpack[SensorSettings]) -> None:
         super().__init__(**settings)
