@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import shutil
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,15 @@ FILES = {
     "bus/iio/devices/iio:device2/in_accel_x_raw": "100",
     "bus/iio/devices/iio:device2/in_accel_x_offset": "-2",
     "bus/iio/devices/iio:device2/in_accel_x_scale": "0.01",
+    "bus/iio/devices/iio:device2/in_anglvel_z_raw": "-50",
+    "bus/iio/devices/iio:device2/in_anglvel_scale": "0.02",
+    "bus/iio/devices/iio:device3/name": "ads1115",
+    "bus/iio/devices/iio:device3/in_voltage0-voltage1_raw": "-100",
+    "bus/iio/devices/iio:device3/in_voltage-voltage_scale": "0.125",
+    "bus/iio/devices/iio:device4/name": "mlx90614",
+    "bus/iio/devices/iio:device4/in_temp_object_raw": "15000",
+    "bus/iio/devices/iio:device4/in_temp_offset": "-13657.5",
+    "bus/iio/devices/iio:device4/in_temp_scale": "20",
     "bus/w1/devices/28-0316a2795dff/name": "28-0316a2795dff",
     "bus/w1/devices/28-0316a2795dff/temperature": "18437",
     "class/leds/green/max_brightness": "255",
@@ -67,6 +77,9 @@ def root(tmp_path, monkeypatch) -> Path:
         ("iio:bmp280", "in_temp", 23.5),
         ("iio:mcp3008", "in_voltage3", 512 * 3.2227e-3),
         ("iio:lsm6dsl", "in_accel_x", 0.98),
+        ("iio:lsm6dsl", "in_anglvel_z", -1.0),
+        ("iio:ads1115", "in_voltage0-voltage1", -0.0125),
+        ("iio:mlx90614", "in_temp_object", 26.85),
         ("w1:28-0316a2795dff", "temperature", 18.437),
     ],
 )
@@ -119,6 +132,22 @@ def test_a_pwm_channel_begins_with_nothing(root) -> None:
     fan.write(0.25)
 
     assert (channel / "duty_cycle").read_text() == "10000"
+
+
+def test_a_pwm_channel_without_a_period_gets_that_first(root, monkeypatch) -> None:
+    """As after a start of the computer: the kernel refuses a duty of no period."""
+    channel, write = root / "class/pwm/pwmchip0/pwm1", Path.write_text
+
+    def refusing(path: Path, text: str, **options: Any) -> int:
+        if path.name == "duty_cycle" and (channel / "period").read_text() == "0":
+            raise OSError(errno.EINVAL, "Invalid argument")
+        return write(path, text, **options)
+
+    monkeypatch.setattr(Path, "write_text", refusing)
+    fan = SysfsActuator(device="pwm:pwmchip0/1", period=0.00004)
+    fan.open()
+
+    assert fan.write(0.25) == 0.25
 
 
 @pytest.mark.parametrize(

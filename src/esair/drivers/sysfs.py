@@ -159,8 +159,11 @@ class SysfsSensor(_OnSysfs, Sensor[float]):
         self.factor = factor
         if limits is not None:
             self.limits: tuple[float, float] = limits
-        stem = value.removesuffix("_input").removesuffix("_raw").rstrip("0123456789")
-        self._scale = _SCALES[self.kind].get(stem, 1.0)
+        stem = value.removesuffix("_input").removesuffix("_raw")
+        what = re.match("in_[a-z]+", stem) if self.kind == "iio" else None
+        self._what = what.group() if what else stem.rstrip("0123456789")
+        """What it is, whichever of several, along which axis: ``in_accel``."""
+        self._scale = _SCALES[self.kind].get(self._what, 1.0)
 
     def open(self) -> None:
         """Find the part, and read it once."""
@@ -186,7 +189,7 @@ class SysfsSensor(_OnSysfs, Sensor[float]):
     def _beside(self, what: str, default: float) -> float:
         """Return what is said of the value alone, else of all values of its kind."""
         assert self.folder is not None
-        for stem in (self.value, self.value.rstrip("0123456789")):
+        for stem in (self.value, re.sub(r"\d", "", self.value), self._what):
             path = self.folder / f"{stem}_{what}"
             if path.is_file():
                 return self._read(path)
@@ -250,8 +253,10 @@ class SysfsActuator(_OnSysfs, Actuator[float]):
         channel = folder / f"pwm{self._channel}"
         if not channel.is_dir():
             (folder / "export").write_text(self._channel, encoding="ascii")
-        # A duty above the new period would be refused, and so would the period.
-        (channel / "duty_cycle").write_text("0", encoding="ascii")
+        # A duty above the new period would be refused, and so would the period; before
+        # there is any period, each duty is.
+        if self._read(channel / "period"):
+            (channel / "duty_cycle").write_text("0", encoding="ascii")
         (channel / "period").write_text(str(self.period_ns), encoding="ascii")
         (channel / "enable").write_text("1", encoding="ascii")
         self._file, self._most = channel / "duty_cycle", self.period_ns
