@@ -195,3 +195,12 @@ async def test_pymavlink_itself_is_the_vehicle(monkeypatch) -> None:
 
     told = next(m for m in heard if m.get_type() == "RC_CHANNELS_OVERRIDE")
     assert (told.chan1_raw, told.chan3_raw) == (2000, 1000)
+
+
+@pytest.mark.promise("SC-3")
+def test_a_message_that_comes_late_is_no_silence() -> None:
+    """A reading is current for three of the periods that the vehicle is told."""
+    line = FakeSerial(framing="mavlink")
+    often = MavlinkSensor(message="ATTITUDE", period=0.1, bus=line)
+    assert often.period == pytest.approx(0.3)
+    assert MavlinkSensor(message="ATTITUDE", silent_after=2.0, bus=line).period == 2.0

@@ -285,7 +285,8 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
         value: The field that is read of another message, such as ``"voltage_battery"``.
         scale: What that is multiplied with: 0.001 for mV.
         period: From one to the next, in seconds: the vehicle is told so at each opening.
-            As it likes if None.
+            As it likes if None. A reading is current for three of them, or for
+            ``silent_after``.
         silent_after: After how many seconds without one the vehicle is lost.
         system: The number of the vehicle.
     """
@@ -312,12 +313,13 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
             raise ConfigError(self.name, "value", told)
         self._value = value
         self._scale = scale
-        self.period = period
-        if period is not None:
-            check_seconds(self.name, "period", period)
         self.silent_after: float = check_seconds(
             self.name, "silent_after", silent_after
         )
+        self._every = period
+        self.period = self.silent_after
+        if period is not None:  # one that comes late is no silence
+            self.period = 3 * check_seconds(self.name, "period", period)
 
     @property
     def value_type(self) -> Any:
@@ -328,7 +330,7 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
 
     async def open(self) -> None:
         """Ask for the message, and wait for the first one."""
-        if self.period is not None:
+        if self._every is not None:
             await self.bus.send(
                 self._talk.payload(
                     "COMMAND_LONG",
@@ -337,7 +339,7 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
                     command=511,  # MAV_CMD_SET_MESSAGE_INTERVAL
                     confirmation=0,
                     param1=self._talk.number(self.message),
-                    param2=self.period * 1e6,
+                    param2=self._every * 1e6,
                     **{f"param{n}": 0.0 for n in range(3, 8)},
                 )
             )

@@ -192,6 +192,7 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
         self.silent_after = silent_after
         if silent_after is not None:
             check_seconds(self.name, "silent_after", silent_after)
+            self.period = self.period or silent_after
         if limits is not None:
             self.limits: tuple[float, float] = limits
         self.bad_payloads: int = 0
