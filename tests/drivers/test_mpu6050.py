@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from typing import Any
 
@@ -98,6 +99,28 @@ async def test_a_changed_range_changes_the_scale_too() -> None:
     assert before.turn_rate == pytest.approx(felt.turn_rate, abs=0.001)
     assert after.turn_rate == pytest.approx(felt.turn_rate, abs=0.002)
     assert after.acceleration == pytest.approx(felt.acceleration, abs=0.003)
+
+
+class Slow(FakeMpu6050):
+    """Measures once a millisecond, as the chip does, and not when it is told a range."""
+
+    def _measure(self) -> None:
+        asyncio.get_running_loop().call_later(0.001, super()._measure)
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("RS-4")
+async def test_no_sample_of_one_range_is_read_in_another() -> None:
+    """Who reads while the range changes waits until there is a new sample."""
+    imu = await sensor_on(Slow())
+    await imu.open()
+
+    for accel_range in (16, 2):
+        change = asyncio.create_task(imu.apply(accel_range=accel_range))
+        await asyncio.sleep(0)
+        motion = await imu.read()
+        assert motion.acceleration[2] == pytest.approx(GRAVITY, abs=0.003)
+        await change
 
 
 @pytest.mark.virtual_clock

@@ -6,6 +6,7 @@ of the registers are those of that document.
 
 from __future__ import annotations
 
+import asyncio
 import math
 import struct
 from typing import Any, ClassVar, Unpack
@@ -42,6 +43,12 @@ GYRO_SCALE = 131.0
 
 GRAVITY = 9.80665
 """Standard gravity in m/s²."""
+
+STARTING = 0.035
+"""How long the gyroscope takes to start (30 ms), and a sample is there, in seconds."""
+
+SAMPLE = 0.002
+"""After how long what was measured in another range is replaced, in seconds."""
 
 _BLOCK = struct.Struct(">hhhhhhh")
 
@@ -118,21 +125,27 @@ class Mpu6050(OnChip, Sensor[Motion]):
     ) -> None:
         super().__init__(address=address, **settings)
         self._gyro_step = self._accel_step = 0
+        self._quiet = asyncio.Lock()  # while its ranges change
 
     async def open(self) -> None:
         """Check that it is the chip, wake it and set its ranges."""
         await self._identify()
-        await self._put(PWR_MGMT_1, CLOCK_FROM_GYRO)
+        self._quiet = asyncio.Lock()
+        if await self._get(PWR_MGMT_1) != CLOCK_FROM_GYRO:
+            await self._put(PWR_MGMT_1, CLOCK_FROM_GYRO)
+            await asyncio.sleep(STARTING)
         await self._set_up(**self.settings)
 
     async def read(self) -> Motion:
         """Read all axes at one moment, in one transfer."""
-        block = await self.bus.read(self.address, ACCEL_XOUT_H, _BLOCK.size)
+        async with self._quiet:
+            block = await self.bus.read(self.address, ACCEL_XOUT_H, _BLOCK.size)
+            steps = self._accel_step, self._gyro_step
         if not any(block):
             raise DeviceFaultError(
                 self.name, "every axis is 0: the chip sleeps, it has lost its power"
             )
-        return decode_motion(block, self._accel_step, self._gyro_step)
+        return decode_motion(block, *steps)
 
     async def is_set_up(self) -> bool:
         """Tell whether it is awake and has its ranges, which a restart forgets."""
@@ -144,5 +157,7 @@ class Mpu6050(OnChip, Sensor[Motion]):
     async def _set_up(self, *, gyro_range: int, accel_range: int, **_: Any) -> None:
         gyro_step = (250, 500, 1000, 2000).index(gyro_range)
         accel_step = (2, 4, 8, 16).index(accel_range)
-        await self._put(GYRO_CONFIG, gyro_step << 3, accel_step << 3)
-        self._gyro_step, self._accel_step = gyro_step, accel_step
+        async with self._quiet:
+            await self._put(GYRO_CONFIG, gyro_step << 3, accel_step << 3)
+            self._gyro_step, self._accel_step = gyro_step, accel_step
+            await asyncio.sleep(SAMPLE)
