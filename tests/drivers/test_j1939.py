@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import esair
-from esair.drivers.dbc import DbcActuator
+from esair.drivers.dbc import DbcActuator, DbcSensor
 from esair.drivers.dbc.fake_j1939 import FakeJ1939Node
 from esair.exceptions import (
     ConfigError,
@@ -408,3 +408,29 @@ async def test_one_name_has_one_address(make: Any, wire: Any) -> None:
         await second.open()
     await first.close()
     await wire.close()
+
+
+@pytest.mark.promise("SC-3")
+@pytest.mark.parametrize("raw", [0xFE00, 0xFEFF, 0xFF00, 0xFFFF])
+async def test_what_is_not_available_is_no_value(
+    wire: Any, tmp_path: Path, raw: int
+) -> None:
+    """Nor is an error: both are numbers beyond the greatest of a signal."""
+    (database := tmp_path / "engine.dbc").write_text(FILE)
+    limit = DbcSensor(
+        name="limit", bus=wire, database=database, message="Torque", signal="limit"
+    )
+    whole = DbcSensor(name="whole", bus=wire, database=database, message="Torque")
+    user = esair.Behavior(
+        name="user",
+        reads={"limit": esair.reads(float), "whole": esair.reads(dict)},
+        writes={},
+    )
+    async with esair.Robot(resources=[limit, whole], behaviors=[user]):
+        for told in (0xFAFF, raw):
+            data = b"\0" + told.to_bytes(2, "little") + bytes(5)
+            wire.feed(0x0C000027, data, extended=True)
+            await asyncio.sleep(0.01)
+        assert await user.limit.read() == 8031.875
+        assert (await user.limit.reading()).sequence == 1
+        assert await user.whole.read() == {}

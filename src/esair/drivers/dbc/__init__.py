@@ -55,6 +55,7 @@ from esair.drivers.dbc._j1939 import (
     Claim,
     Reassembly,
     Source,
+    absences,
     checked_name,
     claim_of,
     id_to,
@@ -272,12 +273,12 @@ def modulus_of(component: str, codec: MessageCodec, name: str | None) -> int:
 class DbcSensor(Sensor[Any]):
     """A message of a DBC file that a node on the bus sends.
 
-    Each frame is a reading. A frame of the wrong length, or one that cannot be decoded,
-    is counted and left out; ten of them in a row are a fault of the device. When no
-    frames come the newest reading grows old, and ``max_age`` tells.
+    Each frame is a reading. A frame of the wrong length, or one that cannot be decoded, is
+    counted and left out; ten in a row are a fault. Without frames the newest reading grows old.
 
     A message of J1939 with more than 8 bytes is put together of its packets (the transport
-    protocol), announced to all or sent to another node; this one asks for none.
+    protocol), announced to all or sent to another node; this one asks for none. Of it a
+    reading has no signals that say "error" or "not available", beyond their greatest value.
 
     Args:
         database: The DBC file.
@@ -300,10 +301,6 @@ class DbcSensor(Sensor[Any]):
         repeated: How many frames had the number of the one before.
         missed: How many frames never came, by their numbers.
     """
-
-    missed: int
-    repeated: int
-    bad_frames: int
 
     bus: CanBus
     counted: ClassVar[tuple[str, ...]] = "bad_frames", "repeated", "dropped"
@@ -347,6 +344,7 @@ class DbcSensor(Sensor[Any]):
             self._ids = Mask(
                 TRANSPORT.id | self._ids.id & sender, TRANSPORT.mask | sender
             )
+        self._is_absent = absences(self.codec.message)
         self.sources: dict[int, int] = {}
         self.buffer: int = check_whole(self.name, "buffer", buffer, 1)
         self.bad_frames = self.repeated = self.missed = 0
@@ -423,6 +421,8 @@ class DbcSensor(Sensor[Any]):
         except FrameError:
             self.bad_frames += 1
             raise
+        for name in [each for each in self._is_absent if self._is_absent[each](values)]:
+            del values[name]
         if not isinstance(self._ids, int):
             sender = frame.id & SOURCE
             self.sources[sender] = self.sources.get(sender, 0) + 1

@@ -9,7 +9,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import attrs
@@ -34,6 +35,31 @@ Source = int | Literal["any"] | None
 def is_j1939(message: Message) -> bool:
     """Whether the file says that a message is one of J1939."""
     return bool(message.protocol == "j1939")
+
+
+def absences(message: Message) -> dict[str, Callable[[Mapping[str, Any]], bool]]:
+    """Return what tells which signals of a message say "error" or "not available".
+
+    Those are the two greatest numbers of a signal, by its highest byte if it has several
+    (SAE J1939-71), if the file does not allow them, nor names them.
+    """
+    told: dict[str, Callable[[Mapping[str, Any]], bool]] = {}
+    for signal in message.signals if is_j1939(message) else ():
+        least = (1 << signal.length) - (2 << max(0, signal.length - 8))
+        edge: Any = signal.conversion.raw_to_scaled(least, decode_choices=False)
+        if (
+            not (signal.is_signed or signal.is_float or signal.choices)
+            and signal.scale > 0
+            and signal.maximum is not None
+            and signal.maximum < edge
+        ):
+            between = float(edge) - signal.scale / 2  # it and the number below
+            told[signal.name] = partial(_is_beyond, signal.name, between)
+    return told
+
+
+def _is_beyond(name: str, edge: float, values: Mapping[str, Any]) -> bool:
+    return name in values and values[name] > edge
 
 
 def ids_from(component: str, message: Message, source: Source) -> Ids:
