@@ -27,6 +27,7 @@ from esair.loop import (
     Order,
     clock_of,
     ignore,
+    turn_of,
 )
 from esair.messages import Refused, ResourceState
 from esair.resources import HOLD, REFUSE
@@ -225,7 +226,7 @@ class Protection:
             passed = self._answer(self.judge, copy.deepcopy(self.refused))
             if passed is None or passed is BLIND:
                 return f"it still refuses {self.refused!r:.80}"
-        except Exception as error:  # contained: one component's failure
+        except BaseException as error:  # contained: one component's failure
             return f"it fails: {describe(error)}"
         return ""
 
@@ -358,15 +359,18 @@ class Guards:
     ) -> tuple[Protection | None, str | None, Any]:
         """Put a command to all guards, each gets what the one before lets pass.
 
+        Where one lets nothing pass, those after it that latch are asked all the same: one
+        guard more must not keep the latch of another open.
+
         Returns:
             The guard that refuses it, if one does; the one that has weakened it, if one
             has; and what passes.
         """
-        wire = self._wire
+        wire, still = self._wire, self._wire.still
         self.asked = command
         by: str | None = None
-        for guard in self.all:
-            weighed = guard.weigh(command, wire.still, moving=moving, hand=wire.copied)
+        for number, guard in enumerate(self.all, 1):
+            weighed = guard.weigh(command, still, moving=moving, hand=wire.copied)
             if weighed is not command and weighed is not None:
                 try:
                     weighed = wire.check.checked(weighed)
@@ -376,9 +380,19 @@ class Guards:
                 by = guard.component
             guard.note(weighed is None)
             if weighed is None:
+                for later in self.all[number:]:
+                    if later.latch:
+                        later.weigh(command, still, moving=moving, hand=wire.copied)
                 return guard, by, None
             command = weighed
         return None, by, command
+
+    def latch_blind(self) -> None:
+        """Latch those that are blind now: what was asked last has moved something."""
+        for each in self.all:
+            if each.latch and each.reason:
+                still, hand = self._wire.still, self._wire.copied
+                each.weigh(self.asked, still, moving=True, hand=hand)
 
     @property
     def stopping(self) -> Protection | None:
@@ -401,6 +415,8 @@ class Stillness:
         "_hold",
         "_look",
         "_safe",
+        "_stilled_in",
+        "_turn",
         "_wire",
         "dead_man",
         "timeouts",
@@ -421,6 +437,8 @@ class Stillness:
         self._guards = guards
         self._wire = wire
         self._safe = safe
+        self._turn = turn_of(device.loop)
+        self._stilled_in = -1  # the turn in which protection has made it safe
         # A hold is over, like a reading that is too old: that is not put off.
         self._look = Deadline(
             Deadlines.of(device.loop),
@@ -483,6 +501,7 @@ class Stillness:
         ):
             self.look_when_over()
         else:
+            self._stilled_in = self._turn.number
             self._safe.make(stay=True)
 
     def look_when_over(self) -> None:
@@ -495,6 +514,7 @@ class Stillness:
         if self.moves:
             hold = self._hold
             holder, writer = hold.holder, hold.writer
+            self._stilled_in = self._turn.number
             self._safe.make(stay=True)
             hold.holder, hold.writer = holder, writer
 
@@ -502,6 +522,8 @@ class Stillness:
         """Put what stands to the guards again; only less than that may leave now."""
         guards, wire, now = self._guards, self._wire, self._device.time()
         if not (guards.all and self.moves):
+            if self._stilled_in == self._turn.number:  # it has moved until this turn
+                guards.latch_blind()
             return
         if verdict(self._gate, self._hold, None, now) is not None:
             return
