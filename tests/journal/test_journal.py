@@ -180,7 +180,10 @@ async def test_data_between_behaviors_is_told():
     assert [event[3:6] for event in events] == [("guest", "greet", "hello")]
 
 
-@pytest.mark.parametrize("error", [ValueError("no"), asyncio.CancelledError()])
+@pytest.mark.parametrize(
+    "error",
+    [ValueError("no"), asyncio.CancelledError(), SystemExit(3), GeneratorExit()],
+)
 async def test_a_listener_that_raises_is_ended_with_a_line(
     fake_actuator, caplog, error
 ):

@@ -465,6 +465,35 @@ async def test_only_reset_ends_a_latch() -> None:
         assert await op.wheels.write(0.5)
 
 
+@pytest.mark.promise("PRO-9", "ROB-3")
+async def test_a_guard_that_leaves_the_program_at_a_reset_does_not() -> None:
+    """It is asked whether it would still refuse: what it does there is its own."""
+    button: FakeSensor[bool] = FakeSensor("button", False, type=bool, rate=20.0)
+    wheels, op = Wheels(), user()
+
+    class Leaves(Button):
+        leaves = False
+
+        def react(self, button: bool, wheels: float) -> float | None:
+            if self.leaves:
+                raise SystemExit(3)
+            return super().react(button, wheels)
+
+    guard = Leaves(name="stop")
+    async with esair.Robot(resources=[button, wheels], behaviors=[guard, op]) as robot:
+        button.feed(True)
+        await asyncio.sleep(0.1)
+        assert not await op.wheels.write(0.5)
+        button.feed(False)
+        await asyncio.sleep(0.1)
+        guard.leaves = True
+        with pytest.raises(esair.AccessDeniedError, match="it fails: SystemExit"):
+            robot.behaviors.reset("stop")
+        guard.leaves = False
+        robot.behaviors.reset("stop")
+        assert await op.wheels.write(0.5)
+
+
 @pytest.mark.promise("PRO-10")
 async def test_the_user_may_mute_for_a_while() -> None:
     """At most for the limit of the class; then it guards again by itself."""

@@ -391,7 +391,9 @@ class Journal:
                 function(event)
                 if clock() >= end:
                     break
-        except (Exception, asyncio.CancelledError) as error:  # it is somebody else's
+        except KeyboardInterrupt:
+            raise  # it is the user's, wherever it comes
+        except BaseException as error:  # somebody else's: sys.exit() in it ends nobody
             failed = error
         finally:
             here.is_telling = False
