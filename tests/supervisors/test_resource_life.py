@@ -832,6 +832,44 @@ async def test_a_last_try_does_not_open_what_is_still_being_opened() -> None:
     assert deaf.most == 1
 
 
+@pytest.mark.promise("ROB-2")
+async def test_a_last_try_waits_for_no_setting_from_before() -> None:
+    """It was given up; what it would still set matters less than a last safe command."""
+
+    class Deaf(esair.Actuator[float]):
+        safe = 0.0
+        gain = esair.setting(0, min=0, max=9)
+
+        def __init__(self) -> None:
+            super().__init__(name="deaf")
+            self.told: list[float] = []
+
+        async def write(self, command: float) -> None:
+            self.told.append(command)
+
+        async def apply(self, *, gain: int) -> None:
+            end = asyncio.get_running_loop().time() + 1.7
+            while (left := end - asyncio.get_running_loop().time()) > 0.0:
+                with contextlib.suppress(asyncio.CancelledError):
+                    await asyncio.sleep(left)
+
+    class User(esair.Behavior):
+        deaf = esair.writes(float, configure=True)
+
+    deaf, user = Deaf(), User()
+    async with esair.Robot(resources=[deaf], behaviors=[user]) as robot:
+        await user.deaf.write(1.0)
+        setting = asyncio.ensure_future(user.deaf.configure(gain=1))
+        await asyncio.sleep(0.01)
+        deaf.report_lost(ConnectionError("cable"))
+        await asyncio.sleep(0.0)
+        deaf.report_arrived()
+    await asyncio.gather(setting, return_exceptions=True)
+
+    assert deaf.told[-2:] == [1.0, 0.0]
+    assert robot.stopped[0].answered
+
+
 class Returning(esair.Actuator[float]):
     """Gone, then there again; what it is told takes a while."""
 

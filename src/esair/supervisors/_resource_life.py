@@ -114,8 +114,8 @@ class Opener:
         # What a call from before a loss still sends must not come after the safe command.
         now, most = asyncio.get_running_loop().time(), resource.deadline + 0.1
         await calls.quiet(now + min(patience, most))
-        left = calls.alive.values()
-        if self.driver.uses_threads or not all(call.may_move for call in left):
+        kinds = {call.kind for call in calls.alive.values() if not call.may_move}
+        if self.driver.uses_threads or (kinds if patience > most else "open" in kinds):
             await calls.quiet(now + most)  # else nothing would get past them
         if resource.bus is not None:
             await self._run("open the bus", Method(resource.bus.open, None))
