@@ -21,9 +21,11 @@ FILES = {
     "class/hwmon/hwmon1/curr1_input": "-250",
     "class/hwmon/hwmon1/power1_input": "3000000",
     "class/hwmon/hwmon1/fan1_input": "1500",
+    "class/hwmon/hwmon1/energy1_input": "2000000",
     "bus/iio/devices/iio:device0/name": "bmp280",
     "bus/iio/devices/iio:device0/in_pressure_input": "101.325",
     "bus/iio/devices/iio:device0/in_temp_input": "23500",
+    "bus/iio/devices/iio:device0/in_humidityrelative_input": "45500",
     "bus/iio/devices/iio:device1/name": "mcp3008",
     "bus/iio/devices/iio:device1/in_voltage3_raw": "512",
     "bus/iio/devices/iio:device1/in_voltage_scale": "3.2227",
@@ -73,6 +75,8 @@ def root(tmp_path, monkeypatch) -> Path:
         ("hwmon:ina219", "curr1", -0.25),
         ("hwmon:ina219", "power1", 3.0),
         ("hwmon:ina219", "fan1", 1500.0),
+        ("hwmon:ina219", "energy1", 2.0),
+        ("iio:bmp280", "in_humidityrelative", 45.5),
         ("iio:bmp280", "in_pressure", 101.325),
         ("iio:bmp280", "in_temp", 23.5),
         ("iio:mcp3008", "in_voltage3", 512 * 3.2227e-3),
@@ -107,6 +111,19 @@ def test_what_is_not_there_is_named(root) -> None:
         sensor.read()
     shutil.rmtree(root / "bus/iio/devices/iio:device0")
     with pytest.raises(DeviceLostError, match="is gone"):
+        sensor.read()
+
+
+@pytest.mark.parametrize("value", ["temp1", "temp1_input"])
+def test_a_value_that_the_chip_calls_faulty_is_a_fault(root, value) -> None:
+    """Its diode is off, say: the number beside that flag is none."""
+    sensor = SysfsSensor(device="hwmon:cpu_thermal", value=value)
+    flag = root / "class/hwmon/hwmon0/temp1_fault"
+    flag.write_text("0")
+    sensor.open()
+    flag.write_text("1")
+
+    with pytest.raises(DeviceFaultError, match="says temp1_fault"):
         sensor.read()
 
 

@@ -2,7 +2,7 @@
 
 A part is named by what the kernel calls it, not by a number that changes with the order in
 which things were found; a value is in plain units (degrees Celsius, volts, amperes, watts,
-metres a second squared)::
+percent of humidity, metres a second squared)::
 
     [sensor.chip]
     driver = "sysfs"
@@ -60,8 +60,13 @@ _FOLDERS: Final = {
     "w1": "bus/w1/devices",
 }
 _SCALES: Final = {
-    "hwmon": {"temp": 1e-3, "in": 1e-3, "curr": 1e-3, "power": 1e-6, "humidity": 1e-3},
-    "iio": {"in_temp": 1e-3, "in_voltage": 1e-3, "in_current": 1e-3},
+    "hwmon": {
+        **dict.fromkeys(("temp", "in", "curr", "humidity"), 1e-3),
+        **dict.fromkeys(("power", "energy"), 1e-6),
+    },
+    "iio": dict.fromkeys(
+        ("in_temp", "in_voltage", "in_current", "in_power", "in_humidityrelative"), 1e-3
+    ),
     "w1": {"temperature": 1e-3},
 }
 """What the kernel's numbers are multiplied with, by how their names begin."""
@@ -159,7 +164,7 @@ class SysfsSensor(_OnSysfs, Sensor[float]):
         self.factor = factor
         if limits is not None:
             self.limits: tuple[float, float] = limits
-        stem = value.removesuffix("_input").removesuffix("_raw")
+        self._stem = stem = value.removesuffix("_input").removesuffix("_raw")
         what = re.match("in_[a-z]+", stem) if self.kind == "iio" else None
         self._what = what.group() if what else stem.rstrip("0123456789")
         """What it is, whichever of several, along which axis: ``in_accel``."""
@@ -175,6 +180,9 @@ class SysfsSensor(_OnSysfs, Sensor[float]):
         folder = self.folder
         if folder is None:
             raise DeviceLostError(self.name, "it is not open")
+        fault = folder / f"{self._stem}_fault"
+        if fault.is_file() and self._read(fault):
+            raise DeviceFaultError(self.name, f"{self.device} says {fault.name}")
         for name in (f"{self.value}_input", self.value):
             if (folder / name).is_file():
                 return self._read(folder / name) * self._scale * self.factor
