@@ -257,10 +257,12 @@ async def test_safe_has_the_next_turn_on_its_chips() -> None:
     ) as robot:
         await asyncio.sleep(0.9)
         bus.stretch(0.04)
-        await asyncio.sleep(0.1)
+        await asyncio.sleep(2.0)  # a round of all polls takes 1.3 s
         assert stove.content[0] == 9
+        assert sum(each.count for each in polled) >= 20
+        assert robot.actuators.channels["output"].stillness.timeouts == 0
         robot.halt("a look")
-        await asyncio.sleep(0.085)
+        await asyncio.sleep(0.125)
         assert stove.content[0] == 0
         assert robot.resources.query("output").losses == 0
         assert robot.behaviors.query("cook").restarts == 0
@@ -293,7 +295,7 @@ async def test_safe_has_the_next_turn_on_its_line() -> None:
         await asyncio.sleep(0.1)
         assert told[0] == b"kettle=9"
         robot.halt("a look")
-        await asyncio.sleep(0.085)
+        await asyncio.sleep(0.125)
         assert told[0] == b"kettle=0"
 
 

@@ -61,6 +61,7 @@ async def test_a_write_revoked_while_it_waits_for_the_thread_is_not_made() -> No
     async with esair.Robot(resources=[arm], behaviors=[user]) as robot:
         executor = robot.actuators.channels["arm"].driver.executor
         blocker = asyncio.create_task(executor.call(go.wait, timeout=5.0))
+        await asyncio.sleep(0.02)
         writing = asyncio.create_task(user.arm.write(1.0))
         await asyncio.sleep(0.02)
         robot.resources.revoke(user.arm.registration)

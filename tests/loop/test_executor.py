@@ -10,7 +10,7 @@ import time
 import pytest
 
 from esair.exceptions import BusyError, DriverStuckError
-from esair.loop import SAFE, Executor, InLine, Urgency, turn_of
+from esair.loop import COMMAND, SAFE, Executor, InLine, Urgency, turn_of
 
 pytestmark = pytest.mark.real_clock
 
@@ -58,6 +58,7 @@ async def test_the_most_urgent_call_has_the_next_turn() -> None:
         return future
 
     executor.submit(loop, InLine(loop=loop), go.wait)
+    await asyncio.sleep(0.02)
     calls = [submit(f"poll {n}", Urgency()) for n in range(6)]
     calls.append(submit("write", later))
     with pytest.raises(BusyError):
@@ -68,6 +69,27 @@ async def test_the_most_urgent_call_has_the_next_turn() -> None:
         await asyncio.gather(*calls)
 
     assert order[:3] == ["write", "safe", "poll 0"]
+    executor.close()
+
+
+@pytest.mark.promise("BUS-5")
+async def test_commands_have_each_second_turn() -> None:
+    """They are before what waits, and do not fill the bus."""
+    executor, order = Executor("bus"), []
+    loop, go, calls = asyncio.get_running_loop(), threading.Event(), []
+    executor.submit(loop, InLine(loop=loop), go.wait)
+    await asyncio.sleep(0.02)
+
+    for what, urgent in [("poll", Urgency()), ("command", Urgency(COMMAND))]:
+        for number in range(3):
+            future: InLine[None] = InLine(loop=loop)
+            told = f"{what} {number}"
+            executor.submit(loop, future, order.append, told, urgent=urgent)
+            calls.append(future)
+    go.set()
+    await asyncio.gather(*calls)
+
+    assert order[:4] == ["command 0", "poll 0", "command 1", "poll 1"]
     executor.close()
 
 

@@ -302,6 +302,7 @@ async def test_a_command_in_the_queue_of_a_thread_is_fenced_by_its_guard(
     ) as robot:
         executor = robot.actuators.channels["wheels"].driver.executor
         blocker = asyncio.ensure_future(executor.call(go.wait, timeout=10.0))
+        await asyncio.sleep(0.02)
         writing = asyncio.ensure_future(op.wheels.write(0.3))
         await asyncio.sleep(0.02)
         sonar.feed(0.1 if near else 1.5)

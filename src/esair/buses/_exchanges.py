@@ -14,9 +14,9 @@ from esair.loop import (
     Deadline,
     Deadlines,
     InLine,
+    Turns,
     Urgency,
     arrive,
-    by_urgency,
     fail,
     had_turn,
     urgency,
@@ -60,8 +60,9 @@ class Exchanges:
         self.now: Exchange | None = None
         """The one that was sent and waits for its answer."""
         self._line: list[Exchange] = []
-        """Who waits for the turn, in the order in which they asked; who is more urgent
-        is before the others: an actuator that is made safe, then one that is opened."""
+        """Who waits for the turn, in the order in which they asked."""
+        self._turns = Turns()
+        """Says who has it next: an actuator that is made safe, then one that is opened."""
         self.unanswered: dict[Exchange, Deadline | None] = {}
         """Whose answers may still come, the oldest first, and until when; None if the
         bus was lost, and nobody has asked since."""
@@ -235,9 +236,10 @@ class Exchanges:
     def _let_leave(self) -> None:
         """Give the turn to the first whose answer can be taken for none that is owed."""
         if self.now is None:
-            for exchange in sorted(self._line, key=by_urgency):
+            for exchange in sorted(self._line, key=self._turns.rank):
                 if not self.is_owed_to(exchange):
                     self._line.remove(exchange)
+                    self._turns.taken(exchange)
                     self.now = exchange
                     exchange.begin_turn()
                     return

@@ -27,6 +27,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.loop import (
+    COMMAND,
     ENDED,
     REACHED,
     WAITS,
@@ -48,7 +49,7 @@ from esair.loop import (
     wake,
 )
 from esair.messages import Stamped
-from esair.resources import Resource
+from esair.resources import Actuator, Resource
 
 OPERATE = "operate"
 """How the calls of operations are named; the operation's name comes after it."""
@@ -98,7 +99,8 @@ class Driver:
         self.resource = resource
         self.uses_threads: bool = resource.bus is not None
         """Whether a thread may have had any of its calls."""
-        self.urgency: Urgency = Urgency()
+        moves = isinstance(resource, Actuator)
+        self.urgency: Urgency = Urgency(COMMAND if moves else 0)
         """How urgent is what it waits for on its bus."""
         self._own_executor: Executor | None = None
         self._stream_executor: Executor | None = None

@@ -19,6 +19,7 @@ from esair.loop._door import Arrivals, Door, News, arrive, ask_outside, outside
 from esair.loop._every import every
 from esair.loop._garbage import Gaps, collector
 from esair.loop._light_task import (
+    COMMAND,
     ENDED,
     OPENING,
     SAFE,
@@ -26,8 +27,8 @@ from esair.loop._light_task import (
     Caller,
     FirstSteps,
     LightTask,
+    Turns,
     Urgency,
-    by_urgency,
     current_task_of,
     current_tasks,
     fail,
@@ -94,6 +95,7 @@ from esair.loop._threads import (
 from esair.loop._turn import GLANCE, SuspendWatch, TurnLoop, new_event_loop
 
 __all__ = [
+    "COMMAND",
     "ENDED",
     "GLANCE",
     "NEVER",
@@ -145,10 +147,10 @@ __all__ = [
     "Tag",
     "TapeWriter",
     "TurnLoop",
+    "Turns",
     "Urgency",
     "arrive",
     "ask_outside",
-    "by_urgency",
     "check_priority",
     "clock_beside",
     "clock_of",

@@ -134,8 +134,11 @@ def _run_all(light: LightTask) -> Generator[Any, Any, None]:
         coroutine = yield ENDED
 
 
+COMMAND = 1
+"""How urgent it is what an actuator waits for: each second turn, if others wait, too."""
+
 SAFE, OPENING = 16, 1
-"""How much more urgent it is to make an actuator safe, and to open one, than the rest."""
+"""How much more urgent it is when it is made safe, or opened: before all others."""
 
 
 class Urgency:
@@ -143,8 +146,8 @@ class Urgency:
 
     __slots__ = ("level",)
 
-    def __init__(self) -> None:
-        self.level: int = 0
+    def __init__(self, level: int = 0) -> None:
+        self.level: int = level
 
     @contextlib.contextmanager
     def raised(self, by: int) -> Iterator[None]:
@@ -164,10 +167,25 @@ urgency: contextvars.ContextVar[Urgency] = contextvars.ContextVar(
 """That of the device whose driver runs, with all that it has started."""
 
 
-def by_urgency(waits: Any) -> int:
-    """Sort what waits for a turn: the most urgent first, else in the order in which it came."""
-    level: int = waits.urgency.level
-    return -level
+class Turns:
+    """Says who has the next turn: the most urgent, else who came first.
+
+    After a command somebody else has a turn, so that commands alone do not fill a bus.
+    """
+
+    __slots__ = ("_floor",)
+
+    def __init__(self) -> None:
+        self._floor = 0
+
+    def rank(self, waits: Any) -> int:
+        """Sort what waits by this, least first; equals keep their order."""
+        level: int = waits.urgency.level
+        return -level if level > self._floor else 0
+
+    def taken(self, waits: Any) -> None:
+        """Take note who has the turn."""
+        self._floor = COMMAND if waits.urgency.level == COMMAND else 0
 
 
 class Caller:

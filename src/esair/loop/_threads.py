@@ -29,8 +29,8 @@ from esair.loop._deadlines import Deadline, Deadlines
 from esair.loop._door import Door, arrive
 from esair.loop._light_task import (
     LightTask,
+    Turns,
     Urgency,
-    by_urgency,
     look_at,
     raisable,
     settle,
@@ -191,6 +191,7 @@ class Line:
         self._calls: list[Call] = []
         self._works: queue.SimpleQueue[int | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
+        self._turns = Turns()
 
     def __len__(self) -> int:
         return len(self._calls)
@@ -210,8 +211,9 @@ class Line:
         if work is None:
             return None
         with self._lock:
-            call = min(self._calls, key=by_urgency)
+            call = min(self._calls, key=self._turns.rank)
             self._calls.remove(call)
+            self._turns.taken(call)
         call.work = work
         return call
 
@@ -219,7 +221,8 @@ class Line:
 class Executor:
     """One daemon thread; its calls run one after the other, in the order given.
 
-    Those of an actuator that is made safe go first, then of one that is opened.
+    Those of an actuator that is made safe go first, then of one that is opened; a command
+    has the next turn but one.
 
     A call that does not return in time raises `DriverStuckError` for its caller
     and goes on in the thread, because a thread cannot be stopped; what is queued

@@ -16,7 +16,7 @@ from esair.buses.serial import SerialBus, SerialLink
 from esair.exceptions import DeviceFaultError, EsairError
 from esair.framing import Framing, LengthCrc
 from esair.loading import of_extra
-from esair.loop import InLine, now, spawn, urgency
+from esair.loop import COMMAND, InLine, now, spawn, urgency
 
 with of_extra("servo"):
     from dynamixel_sdk import (  # type: ignore[import-untyped]
@@ -407,7 +407,7 @@ class ServoBus(SerialBus):
         """
         loop = asyncio.get_running_loop()
         future: InLine[int] = InLine(loop=loop)
-        urgent = urgency.get().level > 0
+        urgent = urgency.get().level > COMMAND
         is_first = urgent not in self._batches
         batches = self._batches.setdefault(urgent, {})
         batches.setdefault((kind, address, size), []).append((servo, value, future))
