@@ -66,7 +66,7 @@ class Budget(OfTurn):
         """What is left for what is outside of the robot; only its awaits count."""
         self.clock: Callable[[], float] = float if is_beside else turn.clock
         """Reads the time amid the turn; who reads it has to give way if it is late."""
-        self.late: float = 0.0
+        self.late: float = LASTS
         """From when on an await gives way in this turn; the border sets it."""
         self.is_counted: bool = False
         """Whether `late` is of this turn, on a loop that has no border in each pass."""
