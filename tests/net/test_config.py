@@ -209,6 +209,19 @@ def test_mistakes_are_named(
     assert any(key in where and told in why for _, where, why in found), found
 
 
+def test_a_wrong_certificate_is_not_called_none(files: Files) -> None:
+    """One mistake is one line: the endpoints are what they were."""
+    files.change(files.rover, '"tcp/', '"tls/')
+    ((_, key, why),) = files.errors()
+    assert (key, "needs certificates" in why) == ("network.tls", True)
+    lines = "\n".join(f'{each} = "none.pem"' for each in ("ca", "certificate", "key"))
+    files.change(
+        files.rover, "[behavior.drive]", f"[network.tls]\n{lines}\n[behavior.drive]"
+    )
+    ((_, key, why),) = files.errors()
+    assert (key, "there is no file" in why) == ("network.tls.ca", True)
+
+
 def test_the_loud_word_is_a_warning(files: Files) -> None:
     """Each check says it."""
     files.change(files.base, "127.0.0.1", "0.0.0.0")

@@ -42,6 +42,7 @@ _OF_TLS: Final = {
     "key": "the private key of the certificate",
 }
 _PLACES: Final = re.compile(r" at \S+\.rs:\d+\.?")
+_NO_TLS: Final = "tls needs certificates: [network.tls]"
 _HERE: Final = re.compile(r"127(\.\d+){3}|localhost|\[::1\]")
 
 _WAITING: Final = 512
@@ -246,7 +247,9 @@ class Network:
         for field in ("listen", "connect"):
             for endpoint in getattr(self, field):
                 if (wrong := self._wrong(endpoint)) is not None:
-                    raise ConfigError("network", field, f"{endpoint!r:.80}: {wrong}")
+                    # Who has named wrong ones does not hear that there are none.
+                    about = "tls" if wrong is _NO_TLS else field
+                    raise ConfigError("network", about, f"{endpoint!r:.80}: {wrong}")
         if self.tls is not None:
             self._check(self.tls)
 
@@ -283,7 +286,7 @@ class Network:
         if found is None or not 0 < int(found[3]) < 65536:
             return "expected 'tcp/HOST:PORT' or 'tls/HOST:PORT'"
         if found[1] == "tls" and self.tls is None:
-            return "tls needs certificates: [network.tls]"
+            return _NO_TLS
         if found[1] == "tcp" and self.tls is not None:
             return "with certificates every endpoint begins with tls/"
         if found[1] == "tcp" and not self.insecure and not _HERE.fullmatch(found[2]):
