@@ -52,7 +52,7 @@ def test_what_is_found_is_a_test_in_the_folder(esair_command, capsys, tmp_path) 
         ((f"{PLANTED}:nobody",), "expected an esair.Robot named 'nobody'"),
         ((f"{PLANTED}:sound", "--for", "-1"), "expected seconds > 0"),
         ((f"{PLANTED}:sound", "--faults", "0"), "--faults: expected a number > 0"),
-        ((f"{PLANTED}",), "name the robot in it"),
+        ((f"{PLANTED}",), "take the robot in it"),
     ],
 )
 def test_what_cannot_be_used_is_told(words, told, esair_command, capsys) -> None:
