@@ -253,6 +253,110 @@ async def test_a_thread_halts_although_the_loop_is_stuck(fake_actuator: Any) -> 
         assert not any(drive.answers)
 
 
+class Tilt(esair.Reaction):
+    """Halts the robot in the very look at a command, and lets that pass."""
+
+    wheels = esair.guards(float)
+
+    def __init__(self, halt: Any) -> None:
+        super().__init__()
+        self.halt = halt
+
+    def react(self, wheels: float) -> float:
+        if wheels > 0.6:
+            self.halt()
+        return wheels
+
+
+class Checking(esair.Actuator[float]):
+    """Halts in its own check, if told so."""
+
+    safe = 0.0
+    command_timeout = 5.0
+
+    def __init__(self, halt: Any) -> None:
+        super().__init__(name="wheels")
+        self.halt = halt
+        self.commands: list[float] = []
+
+    def check(self, command: float) -> None:
+        if command > 0.6:
+            self.halt()
+
+    async def write(self, command: float) -> None:
+        self.commands.append(command)
+
+
+class CheckingPlainly(Checking):
+    """Has a driver that is called in a thread."""
+
+    def write(self, command: float) -> None:  # type: ignore[override]
+        self.commands.append(command)
+
+
+@pytest.mark.promise("ROB-4", "AC-3")
+@pytest.mark.parametrize("by", ["itself", "a thread"])
+@pytest.mark.parametrize("place", ["guard", "check"])
+@pytest.mark.parametrize("kind", [Checking, CheckingPlainly])
+async def test_what_is_being_looked_at_does_not_leave_after_a_halt(
+    kind: Any, place: str, by: str, monkeypatch: Any
+) -> None:
+    """A guard, or a check, takes its time: the gate is looked at once more after it."""
+    monkeypatch.setattr(_halts, "TAKEN_WITHIN", 0.01)
+    halted: list[list[float]] = []
+
+    def halt() -> None:
+        if by == "itself":
+            robot.halt("it tilts")
+        else:
+            thread = threading.Thread(target=robot.halt, args=["it tilts"])
+            thread.start()
+            thread.join()
+        halted.append(list(wheels.commands))
+
+    wheels = kind(halt if place == "check" else lambda: None)
+    drive = esair.Behavior(name="drive", writes={"wheels": esair.writes(float)})
+    guards = [Tilt(halt)] if place == "guard" else []
+    robot = esair.Robot(resources=[wheels], behaviors=[drive, *guards])
+    async with robot:
+        port: Any = drive.wheels  # type: ignore[attr-defined]
+        assert await port.write(0.5)
+        refused = await port.write(1.0)
+        assert (refused.holder, refused.rule) == ("halt", "it tilts")
+        await asyncio.sleep(0.1)
+        assert set(wheels.commands[len(halted[0]) :]) == {0.0}
+
+
+@pytest.mark.promise("ROB-4", "PRO-8")
+async def test_a_guard_that_halts_sends_nothing_weaker_of_what_stands(
+    fake_actuator: Any, fake_sensor: Any
+) -> None:
+    """What stands is looked at with each new reading, and that look may halt, too."""
+    wheels = fake_actuator("wheels", safe=0.0, command_timeout=5.0)
+    sonar = fake_sensor("sonar", 1.0)
+
+    class Near(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.guards(float)
+
+        def react(self, sonar: float, wheels: float) -> float:
+            if sonar < 0.5:
+                thread = threading.Thread(target=robot.halt, args=["too near"])
+                thread.start()
+                thread.join()
+            return min(wheels, sonar)
+
+    drive = esair.Behavior(name="drive", writes={"wheels": esair.writes(float)})
+    robot = esair.Robot(resources=[wheels, sonar], behaviors=[drive, Near()])
+    async with robot:
+        port: Any = drive.wheels  # type: ignore[attr-defined]
+        assert await port.write(1.0)
+        sonar.feed(0.2)
+        await asyncio.sleep(0.3)
+        assert 0.2 not in wheels.commands
+        assert wheels.commands[-1] == 0.0
+
+
 @pytest.mark.promise("ROB-4")
 async def test_a_thread_resumes_with_the_next_turn(fake_actuator: Any) -> None:
     """A user's window has a thread of its own."""

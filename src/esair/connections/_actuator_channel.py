@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Callable, Generator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from esair.connections._calls import Call, End, Method
+from esair.connections._calls import Call, End, Guard, Method
 from esair.connections._device import Device, OfRobot, Operating
 from esair.connections._gate import (
     HALT,
@@ -92,7 +92,8 @@ class ActuatorChannel(Device):
         self.writes: int = 0
         self.refusals: int = 0
         self._is_plain = False
-        """Whether only a void right, or a holder, can be in a command's way."""
+        """Whether only a void right, or a holder, can be in a command's way, and no code of
+        others runs before it leaves."""
         self.gate: Gate = Gate(self)
         self.hold: Hold = Hold()
         wire = Wire(self)
@@ -123,6 +124,7 @@ class ActuatorChannel(Device):
         """Take over changed limits and time-outs."""
         self.wire.configured()
         self.checked = self.wire.check.checked
+        self._settle()
 
     # What others ask.
 
@@ -174,7 +176,8 @@ class ActuatorChannel(Device):
     def _settle(self) -> None:
         """Look, once, whether anything shuts the gate: called at each change of that."""
         gate, halts = self.gate, self.gate.halts
-        self._is_plain = gate.is_plain and not self.guards.all
+        slow = self.guards.all or self.wire.check.takes_time
+        self._is_plain = gate.is_plain and not slow
         if halts != gate.halts:  # a thread has halted the robot meanwhile
             self._is_plain = False
 
@@ -307,13 +310,14 @@ class ActuatorChannel(Device):
             time = self.time  # hot
             now = time()
         held, heard = self.hold, self._journal.heard
-        holder, is_plain = held.holder, self._is_plain
+        holder, numbers = held.holder, None
         # One shortcut: what nothing stands in the way of needs no verdict.  # hot
         if not (
-            is_plain
+            self._is_plain
             and registration.usable
             and (holder is registration or holder is None)
         ):
+            numbers = self.gate.numbers
             refused = verdict(self.gate, held, registration, now)
             if refused is not None:
                 return self._kept_away(registration, command, refused, now, again)
@@ -330,7 +334,8 @@ class ActuatorChannel(Device):
         if expires is not None and (late := self._lateness(expires)) > 0.0:
             return self._expired(registration, late)
         if wire.lane is not None or self.safe.state is not None:
-            return self._when_idle(registration, command, hold, expires)
+            halts = self.gate.halts if numbers is None else numbers[0]
+            return self._when_idle(registration, command, hold, halts, expires)
         if wire.bounds:
             command = self._bounded(command, now)
         # `Hold` takes it here, in place.  # hot
@@ -340,13 +345,18 @@ class ActuatorChannel(Device):
         held.begun = held.written = now
         held.seconds = hold or registration.hold or wire.command_timeout
         by = None
-        if not is_plain:
+        if numbers is not None:
             stop, by, command = self._protected(command)
             if stop is not None:
                 return self._refuse(registration, stop.refusal())
+            # The code of a check, or a guard, takes its time, and may have halted.
+            if numbers != self.gate.numbers or not registration.usable:
+                return self._fenced(registration, numbers[0])
         if not self._dead_man.armed:
             self._dead_man.arm()
-        guard = self.gate.ticket(registration, expires) if wire.blocks else None
+        guard: Guard | None = None
+        if wire.blocks:
+            guard = self.gate.ticket(registration, expires, numbers)
         sent = wire.send(command, registration.behavior, guard)
         if sent is not None or wire.applied is not None:
             return self._sent(sent, registration, command, asked, by)
@@ -416,7 +426,7 @@ class ActuatorChannel(Device):
         """Send what is safe past the blind holds: it moves nothing, and holds nothing."""
         wire = self.wire
         if wire.lane is not None or self.safe.state is not None:
-            return self._when_idle(registration, command, None)
+            return self._when_idle(registration, command, None, self.gate.halts)
         if wire.watch is not None:
             self._check_watch()
         if self.stillness.moves:
@@ -467,16 +477,20 @@ class ActuatorChannel(Device):
         try:
             applied = await self.calls.outcome(sending.call)
         except CallRefused:
-            refused = shut(self.gate, right, self.time(), sending.halts)
-            if refused is None:
-                refused = self._overtaken(right)
-            if not isinstance(refused, Refused):
-                raise refused from None
-            return self._refuse(right, refused)
+            return self._fenced(right, sending.halts)
         except Exception as error:
             failed = self.wire.in_doubt(self.wire.translated(error), command)
             raise failed from failed.__cause__
         return self._applied(right, command, applied, sending.asked, sending.by)
+
+    def _fenced(self, right: Registration, halts: int) -> Refused:
+        """Refuse a command that was on its way when something shut the gate."""
+        refused = shut(self.gate, right, self.time(), halts)
+        if refused is None:
+            refused = self._overtaken(right)
+        if not isinstance(refused, Refused):
+            raise refused from None
+        return self._refuse(right, refused)
 
     def _overtaken(self, right: Registration) -> Refused:
         """Answer a write that the safe command came before, in the driver's lane."""
@@ -547,9 +561,9 @@ class ActuatorChannel(Device):
         registration: Registration,
         command: Any,
         hold: float | None,
+        halts: int,
         expires: float | None = None,
     ) -> Written[Any] | Refused:
-        halts = self.gate.halts
         sent = await self._waiting.turn(registration, command, hold, halts, expires)
         return sent if isinstance(sent, Answer) else await sent
 

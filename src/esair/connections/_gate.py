@@ -316,17 +316,25 @@ class Gate:
         self.fence: int = 0
         self.since: float = 0.0
 
+    @property
+    def numbers(self) -> tuple[int, int]:
+        """Both: what was begun under others must not leave."""
+        return self.halts, self.fence
+
     def ticket(
-        self, right: Registration | None, expires: float | None = None
+        self,
+        right: Registration | None,
+        expires: float | None = None,
+        numbers: tuple[int, int] | None = None,
     ) -> Callable[[], bool]:
         """Return what a thread asks just before it calls the driver.
 
-        It looks at the clock itself: that of the turns stands still meanwhile.
+        It looks at the clock itself: that of the turns stands still meanwhile. The
+        numbers are those of when the command was looked at; of now if it is None.
         """
-        halts, fence = self.halts, self.fence
+        numbers = numbers or self.numbers
         return lambda: (
-            halts == self.halts
-            and fence == self.fence
+            numbers == self.numbers
             and (right is None or right.usable)
             and (expires is None or clock_beside(self.device.loop)() <= expires)
         )

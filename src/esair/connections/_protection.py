@@ -525,7 +525,8 @@ class Stillness:
             if self._stilled_in == self._turn.number:  # it has moved until this turn
                 guards.latch_blind()
             return
-        if verdict(self._gate, self._hold, None, now) is not None:
+        gate, numbers = self._gate, self._gate.numbers
+        if verdict(gate, self._hold, None, now) is not None:
             return
         stop, _by, passed = guards.weigh(guards.asked, moving=True)
         if stop is not None:
@@ -534,13 +535,13 @@ class Stillness:
         told = wire.told
         if passed is told.command or wire.lane is not None:
             return  # a call in flight: it is looked at again when that ends
-        if self._safe.state is not None:
-            return
+        if self._safe.state is not None or numbers != gate.numbers:
+            return  # a guard took its time, or has halted
         less = weaker_of(told.command, passed, wire.still)
         if is_same(less, told.command):
             return
         told.at = now
-        guard = self._gate.ticket(None) if wire.blocks else None
+        guard = gate.ticket(None, None, numbers) if wire.blocks else None
         try:
             sent = wire.send(less, "", guard)
         except EsairError:

@@ -257,6 +257,8 @@ class CommandCheck:
             BadValueError: The type is wrong, a number is not finite, or it is
                 outside the limits.
         """
+        self.takes_time: bool = self.checked == self._any
+        """Whether it may run code of others."""
 
     def _quickest(self, actuator: Actuator[Any]) -> Callable[[Any], Any]:
         """Choose, once, the check for the kind of commands that it takes."""
