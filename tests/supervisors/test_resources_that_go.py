@@ -233,3 +233,76 @@ async def test_a_bad_time_limit_of_a_read_is_refused_always(seconds: Any) -> Non
         assert await behavior.sonar.read() == 1.0
         with pytest.raises(esair.BadValueError, match="timeout"):
             await behavior.sonar.read(timeout=seconds)
+
+
+class Watch(esair.Behavior):
+    """Writes what it reads, and catches nothing."""
+
+    sonar = esair.reads(float, max_age=0.5)
+    wheels = esair.writes(float)
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.05):
+            await self.wheels.write(await self.sonar.read())
+
+
+def pushing() -> FakeSensor[float]:
+    """Make a sensor that says something when it is fed, every second at least."""
+    sonar: FakeSensor[float] = FakeSensor("sonar", type=float)
+    sonar.period = 1.0
+    return sonar
+
+
+@pytest.mark.promise("RES-3", "SUP-4")
+async def test_a_behavior_whose_sensor_is_silent_waits_for_its_next_reading() -> None:
+    """Silence is not its fault: it spends no restart, and goes on by itself."""
+    device, sonar = wheels(), pushing()
+    async with esair.Robot(resources=[device, sonar], behaviors=[Watch()]) as robot:
+        for value in (1.0, 2.0, 3.0, 4.0, 5.0):
+            sonar.feed(value)
+            await device.until(value)
+            await asyncio.sleep(0.7)
+            status = robot.behaviors.query("watch")
+            assert (status.state, status.detail) == (State.PARKED, "sonar is silent")
+            assert device.commands[-1] == 0.0
+        assert status.restarts == 0
+
+
+@pytest.mark.promise("RES-3", "SUP-4")
+async def test_silence_that_becomes_a_loss_ends_with_it() -> None:
+    """It waits for what is missing last, also if others come back before."""
+    device, sonar = wheels(), pushing()
+    async with esair.Robot(resources=[device, sonar], behaviors=[Watch()]) as robot:
+        sonar.feed(1.0)
+        await device.until(1.0)
+        await asyncio.sleep(0.7)
+        device.unplug()
+        await asyncio.sleep(0.2)
+        device.plug()
+        await asyncio.sleep(1.0)
+        assert robot.behaviors.query("watch").state is State.PARKED
+        sonar.unplug()
+        await asyncio.sleep(1.0)
+        sonar.plug()
+        await asyncio.sleep(0.5)
+        assert robot.behaviors.query("watch").state is State.RUNNING
+        sonar.feed(2.0)
+        await device.until(2.0)
+
+
+@pytest.mark.promise("SUP-4")
+async def test_a_limit_of_its_own_that_no_reading_can_meet_is_its_fault() -> None:
+    """Asked for what is not promised, a sensor is not silent: that is a crash."""
+
+    class Hasty(Watch):
+        restart = esair.Restart(max=0)
+
+        async def run(self) -> None:
+            await asyncio.sleep(0.1)
+            await self.sonar.read(max_age=0.01)
+
+    device, sonar = wheels(), pushing()
+    async with esair.Robot(resources=[device, sonar], behaviors=[Hasty()]) as robot:
+        sonar.feed(1.0)
+        await asyncio.sleep(0.2)
+        assert robot.behaviors.query("hasty").state is State.FAILED

@@ -55,6 +55,7 @@ from esair.connections._ports import (
 )
 from esair.connections._protection import BLIND, UNDECIDED, Protection, Protections
 from esair.connections._sensor_channel import (
+    READ_TIMEOUT,
     Applied,
     AppliedChannel,
     Computation,
@@ -76,6 +77,7 @@ __all__ = [
     "BLIND",
     "DONE",
     "HALT",
+    "READ_TIMEOUT",
     "SENT",
     "UNDECIDED",
     "ActuatorChannel",

@@ -43,8 +43,8 @@ class Follower(Protocol):
     """Gets every new reading of a sensor, at once, in the loop."""
 
     @property
-    def registration(self) -> Registration:
-        """The right by which it follows."""
+    def registration(self) -> Registration | None:
+        """The right by which it follows; None if it hands nothing on."""
 
     @property
     def grace(self) -> float:

@@ -10,10 +10,14 @@ import collections
 import errno
 import itertools
 import logging
-from collections.abc import Callable, Coroutine, Iterable
+import math
+from collections.abc import Callable, Coroutine, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from esair.actions import Behavior, Reaction
+import attrs
+
+from esair.actions import Behavior, Reaction, Reads
+from esair.connections import READ_TIMEOUT, SensorChannel
 from esair.exceptions import (
     BehaviorRemovedError,
     DeviceFaultError,
@@ -22,12 +26,13 @@ from esair.exceptions import (
     EsairError,
     NotRegisteredError,
     ResourceRemovedError,
+    StaleReadingError,
     UnknownNameError,
     describe,
 )
 from esair.journal import Journal, Kind
 from esair.loop import Owner, raisable
-from esair.messages import Restart
+from esair.messages import Reading, Restart
 
 if TYPE_CHECKING:
     from esair.placement import Seat
@@ -183,6 +188,68 @@ def absent_for(
     named = error.name if isinstance(error, UnknownNameError) else error.resource
     is_there = named in {need.resource for need in action.needs.values()}
     return [] if is_there and named not in missing else missing
+
+
+@attrs.define(eq=False)
+class Silence:
+    """A sensor that says nothing new: it is followed until it does.
+
+    Attributes:
+        channel: That of the sensor.
+        limit: The greatest age of what ends it, in seconds.
+        over: What is called then.
+    """
+
+    channel: SensorChannel
+    limit: float
+    over: Callable[[str], None]
+    registration: None = None
+    grace: float = math.inf
+
+    def feed(self, reading: Reading[Any]) -> None:
+        if self.channel.time() - reading.time <= self.limit:
+            self.over(self.channel.name)
+
+    def changed(self, error: EsairError | None) -> None:
+        """Wait on: who waits learns elsewhere that the device is back."""
+
+    def limited(self) -> None:
+        """Go by what was asked for when it began."""
+
+    def doubt(self, error: EsairError) -> None:
+        """Wait for a good value."""
+
+    def cancel(self) -> None:
+        self.channel.unfollow(self)
+
+
+def silence_for(
+    error: BaseException,
+    action: Behavior | Reaction,
+    channels: Mapping[str, SensorChannel],
+    over: Callable[[str], None],
+) -> Silence | None:
+    """Return which sensor that a behavior declares is silent, if an error says so.
+
+    A limit below what is declared was the call's own, and so is the error.
+    """
+    if isinstance(error, BaseExceptionGroup):  # of a behavior with tasks of its own
+        found = [silence_for(e, action, channels, over) for e in error.exceptions]
+        return found[0] if all(found) else None
+    if not isinstance(error, StaleReadingError) or error.resource not in channels:
+        return None
+    channel = channels[error.resource]
+    declared = [
+        need.max_age or channel.max_age
+        for need in action.needs.values()
+        if isinstance(need, Reads) and need.provider == channel.name
+    ]
+    if not declared or error.limit < min(*declared, READ_TIMEOUT):
+        return None
+    newest = channel.newest
+    if newest is not None and channel.time() - newest.time <= error.limit:
+        return None  # it has spoken meanwhile
+    return Silence(channel, error.limit, over)
 
 
 _SECOND = 0.04

@@ -53,11 +53,13 @@ from esair.supervisors._grants import (
 )
 from esair.supervisors._life import (
     Life,
+    Silence,
     UserRemovedError,
     absent,
     absent_for,
     cancel,
     living,
+    silence_for,
     until_ended,
     where,
 )
@@ -102,7 +104,8 @@ class Member:
         """Nobody wants it any more: it is removed, or its place is."""
         self.crew: BehaviorDeployment = crew
         self._lives = 0
-        self._timer: asyncio.TimerHandle | None = None
+        self._timer: asyncio.TimerHandle | Silence | None = None
+        """What begins it anew: a moment, or the next reading of a silent sensor."""
         self.portal: Portal | None = None
         self.sight: Sight = Sight(crew.resources.actuators.protections, action, name)
         """What it protects, and whether it sees."""
@@ -362,12 +365,20 @@ class Member:
             fail(ready, self.mail.failed_by(raisable(error)))
             return
         self._is_ready()
-        missing = absent_for(error, self.action, self.crew.resources.is_ready)
-        if missing:
+        resources = self.crew.resources
+        missing = absent_for(error, self.action, resources.is_ready)
+        channels = resources.sensors.channels
+        silence = silence_for(error, self.action, channels, self._resource_heard)
+        if missing or silence:
             # Not its own fault: it begins anew when everything it uses is there.
             self.mail.become(BehaviorState.PARKED)
-            verb = "is" if len(missing) == 1 else "are"
-            self.detail = f"{', '.join(missing)} {verb} not there"
+            if silence:
+                self._timer = silence
+                silence.channel.follow(silence)
+                self.detail = f"{silence.channel.name} is silent"
+            else:
+                verb = "is" if len(missing) == 1 else "are"
+                self.detail = f"{', '.join(missing)} {verb} not there"
             self.sight.blind(self.detail)
             self.life.tell(Kind.PARKED, error, self.detail)
             _log.info("%s: parked: %s", self.name, self.detail)
@@ -401,13 +412,21 @@ class Member:
 
     def resource_up(self, resource: str) -> None:
         """Begin anew if this was the last resource that was not there."""
+        awaited = self._timer
         if (
             isinstance(self.action, Behavior)
             and self.mail.state is BehaviorState.PARKED
             and not absent(self.action, self.crew.resources.is_ready)
+            and not (isinstance(awaited, Silence) and awaited.channel.name != resource)
         ):
+            self._no_restart()
             _log.info("%s: goes on: %s is back", self.name, resource)
             self._restart()
+
+    def _resource_heard(self, resource: str) -> None:
+        """Begin anew: a sensor has spoken that was silent; if nothing else is missing."""
+        self._no_restart()
+        self.resource_up(resource)
 
     def _no_restart(self) -> None:
         if self._timer is not None:
