@@ -198,7 +198,7 @@ class StaleReadingError(EsairError, TimeoutError):
         )
         missed = "the device did not answer in" if silent else "limit"
         super().__init__(
-            f"no fresh reading of {resource!r}: {newest}, {missed} {limit:g} s"
+            f"no fresh reading of {resource!r}: {newest}, {missed} {round(limit, 4):g} s"
         )
         self.resource = resource
         self.age = age
