@@ -17,8 +17,10 @@ from tests.torture.generated import maker
 
 import esair
 from esair.actions import ReactionRunner
+from esair.buses.peer import FakeNetwork, PeerBus
 from esair.connections import ActuatorChannel
 from esair.connections._protection import Stillness
+from esair.drivers.peer import Peer, PeerSensor
 from esair.testing import VirtualLoop
 from esair.torture import Outcome, Step, Story, Target, World, torture
 from esair.torture._kinds import KINDS, cast_of
@@ -153,6 +155,56 @@ def test_what_is_computed_has_no_stand_in() -> None:
 
     target = Target("robot", make, alone=None)
     assert World(target, Story(0, (), 5.0)).run().violations == ()
+
+
+class Valve(esair.Actuator[bool]):
+    safe = False
+
+    async def write(self, command: bool) -> None: ...
+
+
+class Dry(esair.Reaction):
+    """Moves nothing while the valve is closed."""
+
+    is_open = esair.reads(bool, name="valve.applied")
+    wheels = esair.guards(float)
+
+    def react(self, is_open: bool, wheels: float) -> float | None:
+        return wheels if is_open else None
+
+
+class Pour(Drive):
+    valve = esair.writes(bool)
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.05):
+            await self.valve.write(True)
+            await self.wheels.write(0.5)
+
+
+@pytest.mark.promise("PRO-11")
+def test_a_guard_sees_what_an_actuator_has_applied() -> None:
+    """That has no device of its own, and is no finding for it."""
+
+    def make() -> esair.Robot:
+        return esair.Robot(resources=[Wheels(), Valve()], behaviors=[Pour(), Dry()])
+
+    world = World(Target("robot", make), Story(0, (), 2.0))
+    assert not world.run().violations
+    assert any(told.command == 0.5 for told in world.gates[0].told)
+
+
+@pytest.mark.promise("NET-2")
+def test_a_peer_is_a_stand_in() -> None:
+    """It lives on another computer, which the virtual clock does not reach."""
+
+    def make() -> esair.Robot:
+        base = PeerBus(name="base", network=FakeNetwork().of("laptop"))
+        sonar = PeerSensor(name="sonar", bus=base, type=float)
+        parts = [Peer(name="base", bus=base), sonar, Wheels()]
+        return esair.Robot(name="laptop", resources=parts, behaviors=[Drive(), Stop()])
+
+    assert not World(Target("robot", make), Story(0, (), 2.0)).run().violations
 
 
 @pytest.mark.long

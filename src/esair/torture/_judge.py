@@ -251,6 +251,8 @@ class Judge:
                 continue
             channel = world.robot.sensors.channels.get(need.resource)
             sensor = None if channel is None else world.gate_of(channel.sensor)
+            if need.provider != need.resource and channel is not None:
+                continue  # what an actuator has applied last is true until the next
             if channel is None or sensor is None:
                 return f"had no {need.resource}: it was removed"
             if channel.sensor.is_computed:

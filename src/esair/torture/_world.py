@@ -12,6 +12,7 @@ import attrs
 
 import esair
 from esair.actions import Behavior, Reaction
+from esair.buses.peer import PeerBus
 from esair.exceptions import describe
 from esair.messages import is_placed
 from esair.resources import Resource
@@ -254,6 +255,7 @@ class World:
             # Who answers for its device is here, and its driver may be nowhere.
             component.placement = None
             alone = self.target.alone is None or component.name in self.target.alone
+            alone = alone or isinstance(component.bus, PeerBus)  # it runs elsewhere
             seed = self.story.seed
             gate = Gate(component, self.loop, seed, self.judge, alone=alone)
             self.gates.append(gate)
