@@ -382,3 +382,33 @@ def test_what_is_none_of_its_kind_is_named(field: str) -> None:
     """With the field, and what was expected."""
     with pytest.raises(esair.ConfigError, match=f"{field}: expected .*not True"):
         esair.Robot(**{field: True})  # type: ignore[arg-type]
+
+
+@pytest.mark.promise("ROB-2", "ROB-6", "SUP-3")
+@pytest.mark.parametrize("deadline", [1.0, 2.0, 3.0, 60.0])
+async def test_what_hangs_is_reported_before_the_time_of_the_stop_is_over(
+    fake_actuator: Any, deadline: float
+) -> None:
+    """The stop is one deadline: that of a driver does not make it any longer."""
+    wheels, slow = fake_actuator("wheels", safe=0.0), fake_actuator("slow", safe=0.0)
+    slow.deadline = deadline
+
+    class Both(Drive):
+        slow = esair.writes(float)
+
+        async def run(self) -> None:
+            async for _ in esair.every(0.05):
+                await self.wheels.write(1.0)
+                if slow.commands[-1] == 0.0:
+                    await self.slow.write(1.0)
+                    slow.stall()
+
+    robot = esair.Robot(resources=[wheels, slow], behaviors=[Both()])
+    async with robot:
+        await wheels.until(1.0)
+        await asyncio.sleep(0.1)
+        began = asyncio.get_running_loop().time()
+    took = asyncio.get_running_loop().time() - began
+    assert took <= robot.grace + 2.0
+    answered = {told.resource: told.answered for told in robot.stopped}
+    assert answered == {"wheels": True, "slow": False}

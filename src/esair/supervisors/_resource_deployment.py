@@ -105,6 +105,10 @@ STOP_WITHIN = 1.8
 """How long a stop may take beside the grace period until all is closed, in seconds:
 less than `run` has, for what cannot be hurried."""
 
+SAFE_WITHIN = 1.5
+"""How long it may take of that until each actuator has answered, in seconds: then it is
+told which have not, whatever their deadlines."""
+
 
 class ResourceDeployment:
     """The resources of one robot: it starts and stops them, RS adds and removes some."""
@@ -468,7 +472,8 @@ class ResourceDeployment:
     async def make_safe(self) -> list[LastCommand]:
         """Send every actuator its safe command, whatever was sent before."""
         channels = tuple(self.actuators.channels.values())
-        await side_by_side([self._make_safe(each.name) for each in channels])
+        until = self._stops_since + self._grace + SAFE_WITHIN
+        await side_by_side([self._make_safe(each.name, until) for each in channels])
         return [each.told() for each in channels]
 
     async def stop(self) -> None:
