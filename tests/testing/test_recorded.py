@@ -169,6 +169,49 @@ def test_a_recording_without_turns_gives_plain_values(tmp_path: Path) -> None:
         run.at(1.0, None)  # type: ignore[arg-type]
 
 
+class Room(esair.Derived[Range]):
+    """Computes how much is left."""
+
+    sonar = esair.reads(Range)
+
+    def compute(self, sonar: Range) -> Range:
+        return Range(sonar.metres / 2)
+
+
+@pytest.mark.promise("REP-1")
+@pytest.mark.virtual_clock
+@pytest.mark.parametrize("name", ["room", "left_over"])
+async def test_what_was_computed_comes_again_as_its_class(
+    tmp_path: Path, name: str
+) -> None:
+    """A recording holds it as plain data alone: its class, or its type, is known here."""
+    path = tmp_path / "virtual.mcap"
+    sonar = FakeSensor("sonar", Range(1.0), type=Range)
+    parts = [sonar, Room(name=name)]
+    kept = esair.Recording(path, min_free=0)
+    async with esair.Robot(resources=parts, behaviors=[Reads(name)], record=kept):
+        await asyncio.sleep(0.5)
+
+    run = recording(path, types={"left_over": Range, "sonar": Range})
+    again = Reads(name)
+    async with esair.Robot(resources=[*run], behaviors=[again]):
+        await asyncio.sleep(0.5)
+    assert again.last == Range(0.5)
+
+
+class Reads(esair.Behavior):
+    """Keeps the last value of what is computed."""
+
+    last: Range | None = None
+
+    def __init__(self, computed: str) -> None:
+        super().__init__(name="reads", reads={"port": esair.reads(Any, name=computed)})
+
+    async def run(self) -> None:
+        async for value in self.port:  # type: ignore[attr-defined]
+            self.last = value
+
+
 @pytest.mark.promise("REP-1")
 def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
     """An error, and no robot without sensors."""

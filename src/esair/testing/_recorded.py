@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from esair import abc
+from esair.actions import Derived
 from esair.codec import kinds_of
 from esair.connections import is_loss
 from esair.exceptions import (
@@ -31,7 +32,9 @@ from esair.recording import (
     facts_of,
     plain,
 )
+from esair.resources import Sensor
 from esair.testing._fakes import FakeSensor
+from esair.values import snake_case, value_type
 
 
 class RecordedSensor(FakeSensor[Any]):
@@ -147,7 +150,9 @@ def recording(
     """Return the sensors of a recorded run as fakes.
 
     Values have their own classes if the recording can be repeated (`esair replay`);
-    else they are plain: numbers, texts, lists, dictionaries.
+    else, and where they were computed (`esair.Derived`), they are made of plain ones:
+    numbers, texts, lists, dictionaries. Those of a computed sensor need its class to be
+    loaded under its own name, or its type.
 
     Args:
         path: A recording of esair.
@@ -180,7 +185,9 @@ def recording(
     began = min(ups, default=events[0].time)
     run = RecordedRun(sensors, last - began)
     given = _given(place)
-    for seconds, act, args in _acts(events, sensors, given, began):
+    computed = {snake_case(kind.__name__): kind for kind in _loaded(Derived)}
+    kinds = {name: value_type(kind, Sensor) for name, kind in computed.items()}
+    for seconds, act, args in _acts(events, sensors, given, began, kinds | {**wanted}):
         run.at(seconds, act, *args)
     return run
 
@@ -193,6 +200,7 @@ def _acts(
     sensors: Mapping[str, RecordedSensor],
     given: Mapping[str, list[tuple[float, Any, BaseException | None]]],
     began: float,
+    kinds: Mapping[str, Any],
 ) -> Iterator[Act]:
     """Yield what happens to sensors, and when."""
     values: dict[tuple[str, float], list[Any]] = {}
@@ -210,7 +218,9 @@ def _acts(
         seconds = max(0.0, event.time - began)
         if event.kind == Kind.READING:
             own = values.get((event.component, event.time), [])
-            value = next((v for v in own if plain(v) == event.value), event.value)
+            value = next((v for v in own if plain(v) == event.value), None)
+            if value is None:
+                value = _made_of(event.value, kinds.get(event.component, Any))
             yield seconds, sensor.feed, (value,)
         elif event.kind == Kind.DOWN:
             yield seconds, sensor.unplug, ()
@@ -218,6 +228,14 @@ def _acts(
             if event.component in was_up:
                 yield seconds, sensor.plug, ()
             was_up.add(event.component)
+
+
+def _made_of(value: Any, kind: Any) -> Any:
+    """Return a plain value as one of a type; as it is if it cannot be one."""
+    from esair.config import INVALID, convert  # with much that a test may not need
+
+    found = convert(value, kind, "", lambda *_: None, Path())
+    return value if found is INVALID else found
 
 
 def _given(
@@ -256,7 +274,12 @@ def _given(
 
 def _components() -> list[type]:
     """Return the classes of all components that are loaded: a test has its robot's."""
-    waiting: list[type] = [abc.Resource, abc.Action]
+    return _loaded(abc.Resource, abc.Action)
+
+
+def _loaded(*kinds: type) -> list[type]:
+    """Return these classes, and all that are made of them."""
+    waiting: list[type] = [*kinds]
     found: list[type] = []
     while waiting:
         kind = waiting.pop()
