@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import threading
 from typing import Any
 
@@ -279,6 +280,72 @@ async def test_an_operation_ends_with_whoever_asked_and_with_its_device(
         assert lift.did[-1] == 0.0
 
 
+@pytest.mark.promise("CALL-3")
+@pytest.mark.parametrize("what", ["operate", "configure"])
+async def test_nothing_comes_in_while_one_that_was_given_up_still_ends(
+    what: str,
+) -> None:
+    """The device is its own until its driver has stopped; then safe comes first."""
+
+    class Careful(Lift):
+        speed = esair.setting(1.0)
+
+        async def apply(self, **changes: Any) -> None:
+            self.did.append(changes)
+
+        @esair.operation(deadline=3.0)
+        async def seek(self) -> None:
+            self.did.append("seek")
+            try:
+                await asyncio.sleep(1.0)
+            finally:
+                await asyncio.sleep(0.1)  # its motor has to answer
+                self.did.append("seek ended")
+
+    lift = Careful(name="lift")
+    async with made(lift) as robot:
+        mine = await right(robot)
+        lift.did.clear()
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.3):
+                await robot.resources.operate(mine, "seek")
+        if what == "operate":
+            await robot.resources.operate(mine, "seek")
+            after: list[Any] = [0.0, "seek", "seek ended", 0.0]
+        else:
+            await robot.resources.configure(mine, speed=2.0)
+            after = [0.0, {"speed": 2.0}]
+        await asyncio.sleep(0.1)
+        assert lift.did == ["seek", "seek ended", *after]
+
+
+async def test_one_that_does_not_end_is_made_safe_when_its_asker_has_gone() -> None:
+    """Its driver ignores the cancellation: the safe command is sent beside it."""
+
+    class Stubborn(Lift):
+        deadline = 0.2
+
+        @esair.operation(deadline=3.0)
+        async def seek(self) -> None:
+            until = now() + 1.5
+            while now() < until:
+                with contextlib.suppress(asyncio.CancelledError):
+                    await asyncio.sleep(until - now())
+            self.did.append("seek ended")
+
+    lift = Stubborn(name="lift")
+    async with made(lift) as robot:
+        mine = await right(robot)
+        lift.did.clear()
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.3):
+                await robot.resources.operate(mine, "seek")
+        await asyncio.sleep(0.3)
+        assert lift.did == [0.0]
+        assert await robot.actuators.write(mine, 0.5)
+        assert lift.did == [0.0, "seek ended", 0.0, 0.5]
+
+
 @pytest.mark.parametrize("way", ["cancelled", "revoked", "halted", "lost", "late"])
 async def test_one_that_waits_for_the_device_ends_without_having_begun(
     way: str,
@@ -334,6 +401,7 @@ async def test_one_that_waits_for_the_device_ends_without_having_begun(
 
 async def test_a_device_that_goes_in_an_operation_is_lost() -> None:
     """Whether its driver finds out by itself, or somebody tells; and it comes back."""
+    events: list[Event] = []
 
     class Loose(Lift):
         @esair.operation
@@ -342,6 +410,7 @@ async def test_a_device_that_goes_in_an_operation_is_lost() -> None:
 
     lift = Loose(name="lift")
     async with made(lift) as robot:
+        robot.journal.listen(events.append)
         mine = await right(robot)
         with pytest.raises(esair.DeviceLostError, match="fell off"):
             await robot.resources.operate(mine, "shake")
@@ -359,6 +428,9 @@ async def test_a_device_that_goes_in_an_operation_is_lost() -> None:
         await asyncio.sleep(1.0)
         assert lift.did.count("home 0.1") == 1
         assert await robot.resources.operate(mine, "home") == 0.25
+        await asyncio.sleep(0.01)
+    told = [each.text for each in events if each.kind is Kind.OPERATED]
+    assert [each.partition(":")[0] for each in told] == ["shake"] + 3 * ["home"]
 
 
 async def test_a_right_that_ends_while_another_operation_runs_begins_none() -> None:

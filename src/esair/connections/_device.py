@@ -109,6 +109,7 @@ class Operating:
     until: float
     limit: float
     outcome: asyncio.Future[Any]
+    free: Callable[[], None]  # called when it is over: the device is for others then
     call: Call | None = None
     ended_by: EsairError | None = None  # why it was ended before its time
 
@@ -134,14 +135,15 @@ class Operations:
         parameters: dict[str, Any],
         until: float,
         limit: float,
+        free: Callable[[], None],
     ) -> Any:
         """Call an operation when the device is free, and wait for its outcome.
 
-        Whoever is cancelled here ends it.
+        Whoever is cancelled here ends it; what it still does then is nobody's, but the
+        device is *free* only when it is over.
         """
-        assert self.current is None
         outcome: asyncio.Future[Any] = self._loop.create_future()
-        this = Operating(registration, name, parameters, until, limit, outcome)
+        this = Operating(registration, name, parameters, until, limit, outcome, free)
         self.current = this
         stuck = DriverStuckError(self._device.name, f"{OPERATE} {name}", limit)
         deadline = Deadlines.of(self._loop).after(
@@ -151,10 +153,12 @@ class Operations:
             self.look()
             return await outcome
         except asyncio.CancelledError:
-            if this.call is None:
-                self.current = None
-            else:
-                this.call.cancel()
+            if self.current is this:
+                if this.call is None:
+                    self._free(this)
+                else:
+                    this.call.cancel()
+                    self._device.operated(this.call)
             raise
         finally:
             deadline.cancel()
@@ -240,8 +244,14 @@ class Operations:
         self._over(this, end)
         self._device.operated(call)
 
-    def _over(self, this: Operating, end: End) -> None:
+    def _free(self, this: Operating) -> None:
         self.current = None
+        self._loop.call_soon(this.free)  # what is safe, and who reads, come first
+
+    def _over(self, this: Operating, end: End) -> None:
+        if self.current is not this:
+            return  # its error was that of its device, which has ended it
+        self._free(this)
         device = self._device
         error = this.ended_by or end.error
         device.registrations.journal.publish(

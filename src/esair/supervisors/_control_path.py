@@ -194,14 +194,13 @@ class ControlPath:
         life.operations += 1
         try:
             await self._turn_of(life, name, until, limit)
-            try:
-                if life.is_over:
-                    raise DeviceLostError(resource.name, "it was replaced")
-                # It has the device for itself: nothing is configured or opened.
-                run = life.channel.operations.run
-                return await run(registration, name, checked, until, limit)
-            finally:
-                life.configuring.release()
+            free = life.configuring.release
+            if life.is_over:
+                free()
+                raise DeviceLostError(resource.name, "it was replaced")
+            # It has the device for itself until then: nothing is configured or opened.
+            run = life.channel.operations.run
+            return await run(registration, name, checked, until, limit, free)
         finally:
             life.operations -= 1
 
