@@ -75,6 +75,36 @@ class BlockingPusher(esair.Sensor[float]):
             time.sleep(0.01)
 
 
+class Clock(esair.Sensor[float]):
+    """Says when it has measured; a measurement takes most of its period."""
+
+    placement = "process"
+    rate = 20.0
+
+    def read(self) -> float:
+        time.sleep(0.04)
+        return time.monotonic()
+
+
+class AgedClock(Clock):
+    """Says how old that is, too."""
+
+    def read(self) -> Any:
+        return esair.Stamped(super().read(), age=0.0)
+
+
+class PushedClock(esair.Sensor[float]):
+    """The same, pushed from a thread."""
+
+    placement = "process"
+    period = 0.2
+
+    def stream(self) -> Iterator[float]:
+        while True:
+            time.sleep(0.04)
+            yield time.monotonic()
+
+
 def misbehave(fault: str) -> None:
     """Do what a component should not."""
     if fault == "kill":

@@ -13,15 +13,18 @@ from typing import Any
 
 import pytest
 from tests.placement.parts import (
+    AgedClock,
     Answering,
     Avoid,
     BlockingPusher,
+    Clock,
     Dock,
     Docked,
     Docking,
     Drive,
     Loaded,
     OneByOne,
+    PushedClock,
     Pusher,
     SmallAvoid,
     SmallSonar,
@@ -87,6 +90,34 @@ async def test_a_sensor_is_read_from_its_process(kind: type[Any]) -> None:
         assert status.placement == "process"
         assert status.pid not in {None, os.getpid()}
         assert listen.heard == sorted(set(listen.heard))
+
+
+class Late(esair.Reaction):
+    """Keeps how old the time was that it decided on."""
+
+    clock = esair.reads(float, max_age=0.15)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ages: list[float] = []
+
+    def react(self, clock: float) -> None:
+        self.ages.append(time.monotonic() - clock)
+
+
+@pytest.mark.promise("SC-3", "SC-4", "PLC-1")
+@pytest.mark.parametrize("kind", [Clock, AgedClock, PushedClock])
+async def test_what_lay_in_the_socket_is_as_old_as_it_is(kind: type[Any]) -> None:
+    """What a child measured while the robot stood still is not new when that goes on."""
+    late = Late()
+    async with esair.Robot(resources=[kind(name="clock")], behaviors=[late]):
+        for _ in range(4):
+            wanted = len(late.ages) + 2
+            await until(lambda wanted=wanted: len(late.ages) >= wanted)  # type: ignore[misc]
+            await asyncio.sleep(0.02)  # amid a measurement
+            time.sleep(0.3)  # noqa: ASYNC251 - that is the point
+        await asyncio.sleep(0.5)
+    assert max(late.ages) < 0.22
 
 
 @pytest.mark.promise("PLC-1")

@@ -29,6 +29,7 @@ from esair.connections._calls import (
     GivenUpError,
     Method,
     is_loss,
+    stamped,
     translate,
 )
 from esair.connections._device import OfRobot
@@ -119,5 +120,6 @@ __all__ = [
     "limits_by_field",
     "part_of",
     "run_ended",
+    "stamped",
     "translate",
 ]

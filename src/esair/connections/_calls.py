@@ -171,10 +171,12 @@ def _nothing() -> None:
 
 
 def stamped(value: Any, ended: float | None, now: float) -> Any:
-    """Return what a thread has brought, with its time if it is older than this turn."""
-    if ended is None or now - ended < HELD_UP or type(value) is Stamped:
+    """Return what was brought from beside, with its time if it is older than this turn."""
+    if ended is None or now - ended < HELD_UP:
         return value
-    return Stamped(value, ended)
+    if type(value) is not Stamped:
+        return Stamped(value, ended)
+    return value if value.time is not None else Stamped(value.value, ended - value.age)
 
 
 def is_loss(error: BaseException) -> bool:

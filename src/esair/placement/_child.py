@@ -21,7 +21,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from types import ModuleType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from esair.actions import Behavior, Reaction, adapt_action, in_loop
 from esair.codec import Kinds, declared, inner_of
@@ -57,6 +57,7 @@ from esair.resources import Sensor, adapt_resource
 
 _MIB: Final = 1 << 20
 _OF_OTHERS: Final = frozenset({"get", "ask"})  # the calls that may be in a circle
+_MEASURE: Final = frozenset({"read", "next"})  # the calls of the robot that measure
 
 
 class KindsOfChild(Kinds):
@@ -298,21 +299,26 @@ class Child(Exchange):
         context.run(scope.set, number)
         self.tasks[number] = spawn(
             self.loop,
-            self._work(number, method, args, options or {}),
+            self._work(number, method, args, options or {}, verb in _MEASURE),
             name=f"{self.name} {verb}",
             owner=self.owner,
             context=context,
             leaves=True,
         )
 
-    async def _work(self, number: int, function: Any, args: Any, options: Any) -> None:
+    async def _work(
+        self, number: int, function: Any, args: Any, options: Any, measures: bool
+    ) -> None:
         value: Any = None
         failed: BaseException | None = None
         try:
             value = await function(*args, **options)
         except BaseException as error:  # told to the robot
             failed = error
-        self.over(number, current_task_of(self.loop), value, failed)
+        ended = time.monotonic() if measures else 0.0
+        if type(value) is Brought:
+            value, ended = value
+        self.over(number, current_task_of(self.loop), value, failed, ended)
 
     def _cancel(self, number: int) -> None:
         """End the work on a call, whose end tells so."""
@@ -406,10 +412,7 @@ class Child(Exchange):
         return number
 
     async def _next(self, number: int) -> Any:
-        try:
-            return (await anext(self._streams[number]),)
-        except StopAsyncIteration:
-            return None
+        return await anext(self._streams[number])
 
     async def _answer(self, attribute: str, number: int, data: Any, sender: str) -> Any:
         return await self._method(attribute)(Order(self, number, data, sender).handle)
@@ -437,19 +440,26 @@ def _called(function: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-async def _of_thread(values: Iterator[Any]) -> AsyncIterator[Any]:
+class Brought(NamedTuple):
+    """A value that a thread has brought, and when it had it."""
+
+    value: Any
+    ended: float
+
+
+async def _of_thread(values: Iterator[Any]) -> AsyncIterator[Brought]:
     """Yield what a blocking stream gives; a thread waits for it."""
     end = object()
 
-    def wait() -> Any:
+    def wait() -> Brought:
         try:
-            return next(values, end)
+            return Brought(next(values, end), time.monotonic())
         except BaseException as error:
             raise raisable(error) from error
 
     thread = concurrent.futures.ThreadPoolExecutor(1)
-    while (value := await asyncio.wrap_future(thread.submit(wait))) is not end:
-        yield value
+    while (brought := await asyncio.wrap_future(thread.submit(wait))).value is not end:
+        yield brought
 
 
 def find(recipe: dict[str, Any]) -> Any:

@@ -19,10 +19,12 @@ import signal
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Coroutine, Iterable
 from typing import Any, Final
 
 from esair.codec import CodecError, Kinds
+from esair.connections import stamped
 from esair.exceptions import ProcessDiedError, printable
 from esair.loop import (
     NEVER,
@@ -36,6 +38,7 @@ from esair.loop import (
     Owner,
     Player,
     Scheduler,
+    clock_beside,
     clock_of,
     settle,
     turn_of,
@@ -107,7 +110,7 @@ class Process(Exchange):
         """When the message was sent that it works on."""
         self._serve, self._died = serve, died
         loop = self.loop
-        self._time = clock_of(loop)
+        self._time, self._clock = clock_of(loop), clock_beside(loop)
         self._door = Door.of(loop)
         self._tag = ("thread" if repeats else "driver", name)
         self._steps, self._caller = FirstSteps(loop), Caller(f"the process of {name}")
@@ -342,6 +345,9 @@ class Process(Exchange):
                 elif op == Op.CANCEL:
                     self.cancel(number)
                 elif op in {Op.DONE, Op.FAIL}:
+                    if item.busy and not self._door.holds:
+                        ended = self._clock() - (time.monotonic() - item.busy)
+                        value = stamped(value, ended, self._time())
                     self._told_to_end.discard(number)
                     self.scopes.pop(number, None)
                     self.ended(number, value, error)

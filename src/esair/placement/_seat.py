@@ -8,6 +8,7 @@ component's own ports, in tasks of its own: so every rule of the robot holds for
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import sys
 from collections.abc import Callable, Coroutine, Iterable
@@ -283,8 +284,9 @@ class Seat:
     async def _stream(self) -> Any:
         process = self.lives
         number = await process.run("stream")
-        while (value := await process.run("next", number)) is not None:
-            yield value[0]
+        with contextlib.suppress(StopAsyncIteration):
+            while True:
+                yield await process.run("next", number)
 
     # What the child asks for.
 

@@ -93,7 +93,8 @@ class Item(NamedTuple):
         verb: What is called; after a blank the port that is meant.
         data: Its arguments, if it has any, its value or its error, coded.
         scope: For which call of the robot a child makes this one.
-        busy: How long the child had worked when it made it, in seconds.
+        busy: How long the child had worked when it made it, in seconds; of the end of what
+            measures, when that was on the computer's monotonic clock.
     """
 
     op: bytes
@@ -262,24 +263,31 @@ class Exchange:
         """Tell the other side something with the next message."""
         self.queue.append(item)
 
-    def answer(self, number: int, value: Any, error: BaseException | None) -> None:
+    def answer(
+        self, number: int, value: Any, error: BaseException | None, busy: float = 0.0
+    ) -> None:
         """Tell the other side the end of its call."""
         if error is None:
             try:
                 data = b"" if value is None else self.pack("answer", value)
-                self.tell(Item(Op.DONE, number, "", data))
+                self.tell(Item(Op.DONE, number, "", data, 0, busy))
                 return
             except Exception as unfit:
                 error = unfit
         self.tell(Item(Op.FAIL, number, "", self.pack_error(error)))
 
     def over(
-        self, number: int, task: Any, value: Any, error: BaseException | None
+        self,
+        number: int,
+        task: Any,
+        value: Any,
+        error: BaseException | None,
+        busy: float = 0.0,
     ) -> None:
         """The work on a call of the other side has ended."""
         self.owner.leave(task)
         if self.tasks.pop(number, None) is not None:
-            self.answer(number, value, error)
+            self.answer(number, value, error, busy)
 
     def opened(self, item: Item) -> tuple[Any, BaseException | None]:
         """Return the value of an item, or the error that it is, or why it is none."""
