@@ -121,6 +121,7 @@ def test_every_act_is_repeated(running: Running) -> None:
     with connect("beacon") as client:
         client.do("set", {"setting": "lamp.power", "value": 1.5})
         refused(client, "set", setting="lamp.power", value=7.0)
+        refused(client, "set", setting="lmp.power", value=1.0)  # nobody has it
         client.do("put", {"receiver": "shine", "data": 0.7})
         client.do("put", {"receiver": "shine", "data": "bright"})  # it crashes
         assert client.do("status")["robot"] == "beacon"

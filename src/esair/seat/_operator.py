@@ -365,7 +365,8 @@ class Console:
         session.given += 1
         shown = self._shown(act, fields)
         tape = Door.of(self._loop).tape
-        if shown is not fields and isinstance(tape, TapeWriter):
+        is_hidden = shown is not fields and self._sets(fields) is not None
+        if is_hidden and isinstance(tape, TapeWriter):
             tape.spoil("an operator has set a secret there, which is not kept")
         given = Given(
             session.number,
@@ -429,12 +430,17 @@ class Console:
         """Return what an act is about as it may be recorded and shown."""
         if act.name != "set":
             return fields
-        name, _, setting = fields["setting"].partition(".")
-        if name in self.robot.resources.names():
-            known = settings_of(type(self.robot.resources.get(name))).get(setting)
+        resource, setting = self._sets(fields), fields["setting"].partition(".")[2]
+        if resource is not None:
+            known = settings_of(type(resource)).get(setting)
             if known is None or not known.secret:
                 return fields
         return {**fields, "value": HIDDEN}
+
+    def _sets(self, fields: dict[str, Any]) -> Resource | None:
+        """Return the resource that a setting is of; None if there is none of its name."""
+        name, resources = fields["setting"].partition(".")[0], self.robot.resources
+        return resources.get(name) if name in resources.names() else None
 
     async def _finish(self, work: Any, waiting: Waiting) -> None:
         try:
