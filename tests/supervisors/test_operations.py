@@ -602,6 +602,129 @@ async def test_a_blind_guard_ends_an_operation(fake_sensor: Any) -> None:
             await robot.resources.operate(mine, "home")
 
 
+class Fence(esair.Reaction):
+    """Lets nothing pass while the door is open."""
+
+    door = esair.reads(bool)
+    lift = esair.guards(float)
+
+    def react(self, door: bool, lift: float) -> float | None:
+        return None if door else lift
+
+
+class Latch(Fence):
+    lift = esair.guards(float, latch=True)
+
+
+def fenced(lift: Any, door: Any, guard: esair.Reaction) -> esair.Robot:
+    policy = esair.Policy("lift", allow={"*": ALL | Access.GUARD})
+    return esair.Robot(resources=[lift, door], behaviors=[guard], policies=[policy])
+
+
+@pytest.mark.promise("PRO-5")
+@pytest.mark.parametrize("written", [False, True])
+async def test_a_guard_is_asked_anew_when_an_operation_begins(
+    written: bool, fake_sensor: Any
+) -> None:
+    """Whether or not somebody has written; a refusal of long ago counts no more."""
+    lift, door = Lift(), fake_sensor("door", True)
+    async with fenced(lift, door, Fence()) as robot:
+        mine = await right(robot)
+        if written:
+            assert not await robot.actuators.write(mine, 0.5)
+        with pytest.raises(esair.AccessDeniedError, match="fence guards lift"):
+            await robot.resources.operate(mine, "home")
+        assert "home 0.1" not in lift.did
+        door.feed(False)
+        await asyncio.sleep(0.1)
+        assert await robot.resources.operate(mine, "home") == 0.25
+
+
+@pytest.mark.promise("PRO-5")
+@pytest.mark.parametrize("guard", [Fence, Latch])
+async def test_a_guard_that_lets_nothing_pass_any_more_ends_an_operation(
+    guard: type[esair.Reaction], fake_sensor: Any
+) -> None:
+    """At its next reading; one that latches stays shut afterwards."""
+    lift, door = Lift(), fake_sensor("door", False)
+    async with fenced(lift, door, guard(name="fence")) as robot:
+        mine = await right(robot)
+        home = asyncio.ensure_future(robot.resources.operate(mine, "home"))
+        await asyncio.sleep(0.2)
+        door.feed(True)
+        with pytest.raises(esair.AccessDeniedError, match="fence"):
+            await home
+        assert lift.did[-2:] == ["home ended", 0.0]
+        door.feed(False)
+        await asyncio.sleep(0.1)
+        if guard is Latch:
+            with pytest.raises(esair.AccessDeniedError, match="latched"):
+                await robot.resources.operate(mine, "home")
+        else:
+            await robot.resources.operate(mine, "home")
+
+
+@pytest.mark.promise("PRO-9")
+async def test_a_guard_that_goes_blind_amid_an_operation_latches(
+    fake_sensor: Any,
+) -> None:
+    """Something has moved while it could not see."""
+    lift, door = Lift(), fake_sensor("door", False)
+    async with fenced(lift, door, Latch()) as robot:
+        mine = await right(robot)
+        home = asyncio.ensure_future(robot.resources.operate(mine, "home"))
+        await asyncio.sleep(0.2)
+        door.unplug()
+        with pytest.raises(esair.AccessDeniedError, match="latch is latched"):
+            await home
+
+
+@pytest.mark.promise("ROB-4")
+async def test_none_begins_after_a_guard_that_was_asked_has_halted_the_robot(
+    fake_sensor: Any,
+) -> None:
+    """However it answers."""
+
+    class Halts(Fence):
+        def react(self, door: bool, lift: float) -> float | None:
+            if door:
+                robot.halt("the door is open")
+            return lift
+
+    lift, door = Lift(), fake_sensor("door", True)
+    async with fenced(lift, door, Halts()) as robot:
+        mine = await right(robot)
+        with pytest.raises(esair.HaltedError, match="the door is open"):
+            await robot.resources.operate(mine, "home")
+        assert "home 0.1" not in lift.did
+
+
+async def test_a_guard_of_places_is_asked_with_that_where_the_device_stays(
+    fake_sensor: Any,
+) -> None:
+    """Of what was never written: it can compare that, as it can any command."""
+
+    class Servo(Lift):
+        safe: Any = esair.HOLD
+
+        async def write(self, command: Any) -> float:  # type: ignore[override]
+            await super().write(command)
+            return 0.5
+
+    class Low(Fence):
+        def react(self, door: bool, lift: float) -> float | None:
+            return None if door else min(lift, 0.8)
+
+    servo, door = Servo(name="lift"), fake_sensor("door", True)
+    async with fenced(servo, door, Low()) as robot:
+        mine = await right(robot)
+        with pytest.raises(esair.AccessDeniedError, match="low guards lift"):
+            await robot.resources.operate(mine, "home")
+        door.feed(False)
+        await asyncio.sleep(0.1)
+        assert await robot.resources.operate(mine, "home") == 0.25
+
+
 def test_the_rulebook_finds_what_is_declared_wrongly() -> None:
     """All mistakes at once, before anything starts."""
 

@@ -283,7 +283,7 @@ class ActuatorChannel(Device):
         """
         if not self.operations.running:
             self.stillness.review(self._ended)
-        elif self.guards.shut is not None:
+        elif self.guards.asked_anew(moving=True) is not None:
             self.make_safe(stay=True)
 
     # The commit block.
@@ -685,8 +685,12 @@ class ActuatorChannel(Device):
         right = operation.registration
         now, wire = self.time(), self.wire
         refused = verdict(self.gate, self.hold, right, now, operates=True)
-        if refused is None and (guard := self.guards.shut) is not None:
-            refused = guard.refusal()
+        if refused is None:
+            if wire.lane is not None or self.safe.state is not None:
+                return False
+            moving = self.stillness.moves
+            if (guard := self.guards.asked_anew(moving=moving)) is not None:
+                refused = guard.refusal()
         if isinstance(refused, Refused):
             if refused.holder == HALT and refused.priority == HALT_PRIORITY:
                 raise HaltedError(self.name, refused.rule)
@@ -695,9 +699,7 @@ class ActuatorChannel(Device):
             )
         if refused is not None:
             raise refused
-        if wire.lane is not None or self.safe.state is not None:
-            return False
-        if self.stillness.moves:
+        if moving:
             self.make_safe(stay=True)
             return False
         self._check_watch()

@@ -174,6 +174,7 @@ class Operations:
             self.check(this.registration)
             if not device.ready_for(this):
                 return
+            self.check(this.registration)  # a guard that was asked may have halted all
             begun = True
             method = device.driver.method(this.name)
             if this.parameters:

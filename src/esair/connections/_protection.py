@@ -387,6 +387,20 @@ class Guards:
             command = weighed
         return None, by, command
 
+    def asked_anew(self, *, moving: bool) -> Protection | None:
+        """Return the first that lets nothing pass now, for the sake of an operation.
+
+        They are asked with what was asked for last: else with what is safe, or with where
+        the device stays.
+        """
+        if self.all:
+            asked, told = self.asked, self._wire.told
+            if asked is None:
+                still = self._wire.still
+                asked = still if still is not HOLD or told.place is None else told.place
+            self.weigh(asked, moving=moving)
+        return self.shut
+
     def latch_blind(self) -> None:
         """Latch those that are blind now: what was asked last has moved something."""
         for each in self.all:

@@ -307,9 +307,11 @@ def operation(function: Any = None, /, *, deadline: float | None = None) -> Any:
     speed=0.1)``. Its parameters are checked by their annotations before it begins;
     it has the device for itself; and it has one outcome, within its deadline.
 
-    An actuator is made safe before and after it. What makes the actuator safe while
-    it runs (a halt, a blind hold, a guard) ends it by a cancellation: write one that
-    moves as ``async def``, for a plain one keeps the safe command waiting.
+    An actuator is made safe before and after it. Its guards are asked when it begins and
+    while it runs: one that answers None to what was asked of the actuator last, or what
+    is safe, refuses it. What makes the actuator safe while it runs (a halt, a blind
+    hold, a guard) ends it by a cancellation: write one that moves as ``async def``, for
+    a plain one keeps the safe command waiting.
 
     Args:
         function: The method.
