@@ -1,20 +1,25 @@
 """What is inside of a value: one walk finds what is no finite number, wherever it hides.
 
 Readings, commands, results of guards, settings and parameters are looked through by it.
+And whether somebody could change what is inside (`is_fixed`): then each who gets it has
+one of their own (`owned`).
 """
 
 from __future__ import annotations
 
+import copy
 import enum
 import math
 import numbers
+import sys
 import types
+import typing
 from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
 import attrs
 
-from esair.values import once_for_class
+from esair.values import alternatives, hints_of, once_for_class
 
 DEPTH = 8  # how deep parts of a value are looked at
 
@@ -239,3 +244,79 @@ def fields_of(cls: type) -> tuple[str, ...]:
     return tuple(
         getattr(cls, "__dataclass_fields__", ()) or getattr(cls, "_fields", ())
     )
+
+
+# Whether it can be changed.
+
+_PLAIN = frozenset({float, int, bool, complex, str, bytes, type(None)})
+
+
+def is_fixed(kind: Any, depth: int = DEPTH) -> bool:
+    """Tell whether nobody can change a value of a declared type, nor a part of it."""
+    if isinstance(kind, type) and kind in _PLAIN:
+        return True
+    options = alternatives(kind)
+    if len(options) > 1:
+        return all(is_fixed(each, depth) for each in options)
+    cls, inner = typing.get_origin(kind) or kind, typing.get_args(kind)
+    if kind is None or cls is typing.Literal:
+        return True
+    if not (isinstance(cls, type) and depth) or cls is Any:
+        return False
+    if cls is tuple or cls is frozenset:
+        parts = [each for each in inner if each is not ...]
+        return bool(inner) and all(is_fixed(each, depth - 1) for each in parts)
+    if _shape_of(cls) in {NUMBER, _ATOM, _ENUM}:
+        return not issubclass(cls, bytearray | memoryview)
+    if not (fields_of(cls) and is_frozen(cls)):
+        return False
+    hints = hints_of(cls)
+    return all(is_fixed(hints.get(name, Any), depth - 1) for name in fields_of(cls))
+
+
+def is_frozen(cls: type) -> bool:
+    """Tell whether the fields of objects of a class cannot be set."""
+    options = getattr(cls, "__dataclass_params__", None)
+    if options is not None:
+        return bool(options.frozen)
+    # A frozen class of attrs, which has no other way to say so.
+    frozen = getattr(cls.__setattr__, "__name__", "") == "_frozen_setattrs"
+    return frozen or issubclass(cls, tuple)
+
+
+@once_for_class
+def _is_fixed_class(cls: type) -> bool:
+    return is_fixed(cls)
+
+
+def read_only(value: Any) -> Any:
+    """Return an array that cannot be written to; anything else as it is."""
+    numpy = sys.modules.get("numpy")
+    if numpy is not None and isinstance(value, numpy.ndarray):
+        value = value.view()
+        value.setflags(write=False)
+    return value
+
+
+def owned(value: Any) -> Any:
+    """Return a value that its owner may change, which nobody else sees.
+
+    An array that cannot be written to, and what cannot be copied, is returned as it is.
+    """
+    cls = type(value)
+    if cls in _PLAIN or _is_fixed_class(cls):
+        return value
+    if cls is list or cls is tuple:  # of plain values: much quicker
+        if _PLAIN.issuperset(map(type, value)):
+            return value[:]
+    elif cls is dict:
+        if _PLAIN.issuperset(map(type, value.values())):
+            return dict(value)
+    elif not getattr(getattr(value, "flags", None), "writeable", True):
+        return value
+    try:
+        if _shape_of(cls) == _OBJECT and not parts_of(value):
+            return value  # there is nothing to change: it stands for itself
+        return copy.deepcopy(value)
+    except Exception:  # it may be an object of any class
+        return value

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Self, TypeVar
 
 import attrs
 
 from esair.exceptions import ConfigError, hint_for
+from esair.flaws import owned
 from esair.values import as_path, check_name, check_party, is_positive, tls_context
 
 if TYPE_CHECKING:
@@ -91,8 +92,9 @@ class Reading(NamedTuple, Generic[T]):
 
 
 class StampedReading(Reading[T]):
-    """A reading whose driver knows when it was measured."""
+    """A reading whose driver knows when it was measured, if it is stamped."""
 
+    is_stamped: bool = True
     _arrived: float
 
     @classmethod
@@ -106,6 +108,21 @@ class StampedReading(Reading[T]):
     def arrived(self) -> float:
         """When it came in, on the same clock; its age counts from ``time``."""
         return self._arrived
+
+
+class OpenReading(StampedReading[T]):
+    """A reading of a value that could be changed: who asks for it gets one of their own."""
+
+    @property
+    def value(self) -> T:
+        """A value that nobody else has; an array that cannot be written to."""
+        return self[0]
+
+    def __getitem__(self, place: Any) -> Any:
+        return owned(super().__getitem__(place))
+
+    def __iter__(self) -> Iterator[Any]:
+        return map(self.__getitem__, range(len(self)))
 
 
 @attrs.frozen

@@ -15,7 +15,7 @@ from esair.connections._calls import Call, End, Method, translate_call
 from esair.connections._device import Device, OfRobot, Operating
 from esair.connections._gate import Registration, Registrations
 from esair.connections._hearing import READY, Asking, Listening
-from esair.connections._values import FrozenCheck, ReadingCheck, measured_at
+from esair.connections._values import ReadingCheck, measured_at
 from esair.exceptions import (
     BadValueError,
     DeviceFaultError,
@@ -24,8 +24,15 @@ from esair.exceptions import (
     ResourceRemovedError,
     StaleReadingError,
 )
+from esair.flaws import read_only
 from esair.journal import Kind
-from esair.messages import Reading, ResourceState, Stamped, StampedReading
+from esair.messages import (
+    OpenReading,
+    Reading,
+    ResourceState,
+    Stamped,
+    StampedReading,
+)
 from esair.resources import APPLIED, HOLD, Actuator, Sensor
 from esair.values import passes_as
 
@@ -68,9 +75,8 @@ class SensorChannel(Device):
 
     # Slots: a thousand of these are touched a hundred times a second.
     __slots__ = (
-        "_check_value",
+        "_check",
         "_followers",
-        "_frozen",
         "_history",
         "_listening",
         "asking",
@@ -104,9 +110,7 @@ class SensorChannel(Device):
         self._history: collections.deque[Reading[Any]] = collections.deque(
             maxlen=sensor.history_size
         )
-        self._check_value = ReadingCheck(sensor).wrong
-        limit = sensor.max_repeat
-        self._frozen = None if limit is None else FrozenCheck(limit)
+        self._check = ReadingCheck(sensor)
         self.take(sensor, self, self._late)
         self.configured()
 
@@ -159,8 +163,8 @@ class SensorChannel(Device):
         """The device is ready: begin to listen, and to ask if somebody follows."""
         self.state = READY
         self.error = None
-        if self._frozen is not None:
-            self._frozen.begin_anew()
+        if self._check.frozen is not None:
+            self._check.frozen.begin_anew()
         if self.newest is None and hasattr(self.sensor, "initial"):
             self.publish(self.sensor.initial, -1)
         if self.sensor.pushes:
@@ -207,7 +211,7 @@ class SensorChannel(Device):
 
     def known(self, registration: Registration, limit: float) -> Reading[Any]:
         """Return the newest reading, or raise because there is none that is current."""
-        self._check(registration)
+        self._check_right(registration)
         reading = self.newest
         age = None if reading is None else self.time() - reading.time
         if reading is None or age is None or age > limit:
@@ -218,7 +222,7 @@ class SensorChannel(Device):
         self, registration: Registration, *, fresh: bool, max_age: float, timeout: float
     ) -> Reading[Any]:
         """Return a reading that is good enough, asking the device or waiting for it."""
-        self._check(registration)
+        self._check_right(registration)
         if not fresh and not self.sensor.can_be_asked and self.newest is not None:
             # A device that pushes cannot be asked; it has been silent for too long.
             raise StaleReadingError(self.name, self.time() - self.newest.time, max_age)
@@ -228,7 +232,7 @@ class SensorChannel(Device):
         measured = fresh and not self.sensor.is_computed
         since = self.time() if measured else -math.inf
         reading = await self.asking.waiting.reading(need, timeout, since)
-        self._check(registration)
+        self._check_right(registration)
         age = self.time() - reading.time
         if age > max_age:
             raise StaleReadingError(self.name, age, max_age)
@@ -244,7 +248,7 @@ class SensorChannel(Device):
             )
         return list(self._history)[-count:] if count > 0 else []
 
-    def _check(self, registration: Registration) -> None:
+    def _check_right(self, registration: Registration) -> None:
         if not registration.usable:
             raise self.registrations.refusal(registration)
         if self.state is not READY:
@@ -274,7 +278,7 @@ class SensorChannel(Device):
 
     def _start_polling(self) -> None:
         if self._followers:
-            self.asking.start_polling(self.sensor, self._check_value, self._history)
+            self.asking.start_polling(self.sensor, self._check, self._history)
 
     # Operations, and calls between two questions.
 
@@ -323,7 +327,7 @@ class SensorChannel(Device):
 
     def publish(self, value: Any, number: float) -> None:
         """Give a new value to everybody who waits or follows."""
-        clock, check = self.time, self._check_value  # hot
+        clock, check = self.time, self._check  # hot
         now = clock()
         time: float | None = None
         wrong: str | None = None
@@ -334,11 +338,11 @@ class SensorChannel(Device):
             else:
                 time = measured
             value = value.value
-        wrong = wrong or check(value)
+        wrong = wrong or check.wrong(value)
         if wrong is not None:
             self.bad += 1
-        elif self._frozen is not None:
-            wrong = self._frozen(value)
+        elif check.frozen is not None:
+            wrong = check.frozen(value)
         if wrong is not None:
             self._fail(DeviceFaultError(self.name, wrong), number)
             return
@@ -349,7 +353,11 @@ class SensorChannel(Device):
             return
         sequence = self.sequence = self.sequence + 1
         reading: Reading[Any]
-        if time is None:
+        if check.is_open:
+            at = now if time is None else time
+            reading = OpenReading.at(read_only(value), at, sequence, now)
+            reading.is_stamped = time is not None
+        elif time is None:
             reading = _new(Reading, (value, now, sequence))
         else:
             reading = StampedReading.at(value, time, sequence, now)
@@ -365,8 +373,8 @@ class SensorChannel(Device):
 
     def _overtaken(self, newer: Reading[Any], time: float) -> bool:
         """Tell whether a value was measured before the newest reading, and came late."""
-        is_one = type(newer) is StampedReading and not self.sensor.is_computed
-        return is_one and time < newer.time
+        is_one = isinstance(newer, StampedReading) and newer.is_stamped
+        return is_one and not self.sensor.is_computed and time < newer.time
 
     def _fail(self, error: BaseException, number: float) -> None:
         deadline = self.sensor.deadline
@@ -497,7 +505,7 @@ class DerivedChannel(SensorChannel):
         """Return a reading that is good enough; a fresh one is of fresh readings."""
         until = self.time() + timeout
         if fresh and self.state is ResourceState.READY:
-            self._check(registration)
+            self._check_right(registration)
             for each in self.computation.sources:
                 if each.optional:
                     continue

@@ -27,6 +27,8 @@ from esair.flaws import (
     Flaw,
     fields_of,
     flaw,
+    is_fixed,
+    is_frozen,
     parts_of,
     slots_of,
 )
@@ -420,15 +422,8 @@ def _is_frozen(wanted: Any) -> bool:
     """Whether nobody can change a value of a class whose parts are numbers."""
     if wanted is None:
         return False
-    if wanted in {int, float, bool, str, bytes} or issubclass(
-        wanted, tuple | enum.Enum
-    ):
-        return True
-    options = getattr(wanted, "__dataclass_params__", None)
-    if options is not None:
-        return bool(options.frozen)
-    # A frozen class of attrs, which has no other way to say so.
-    return getattr(wanted.__setattr__, "__name__", "") == "_frozen_setattrs"
+    plain = (int, float, bool, str, bytes)
+    return wanted in plain or issubclass(wanted, enum.Enum) or is_frozen(wanted)
 
 
 def _is_fixed(value: Any) -> bool:
@@ -496,6 +491,10 @@ class ReadingCheck:
 
     def __init__(self, sensor: Sensor[Any]) -> None:
         self._wanted = checked_class(sensor.value_type)
+        self.is_open: bool = not is_fixed(sensor.value_type)
+        """Whether one who reads a value could change it for others."""
+        limit = sensor.max_repeat
+        self.frozen: FrozenCheck | None = None if limit is None else FrozenCheck(limit)
         self._limits = limits_by_field(sensor.limits)
         self._low, self._high = self._limits.get("", (math.nan, math.nan))
         bounded = math.isfinite(self._low) and math.isfinite(self._high)

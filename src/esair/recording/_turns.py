@@ -18,7 +18,7 @@ from typing import Any, Final
 from esair.codec import CodecError, Kinds, decode, encode
 from esair.exceptions import RecordingBrokenError
 from esair.loop import SPOILED, CallRefused, First, Tag, TapeWriter
-from esair.messages import Reading, Stamped, StampedReading
+from esair.messages import OpenReading, Reading, Stamped, StampedReading
 from esair.recording._reading import MESSAGE
 
 TOPIC = "/esair/journal"  # The topic of the turns
@@ -43,7 +43,7 @@ _first = struct.Struct("<BHI")
 _waits = struct.Struct("<BH")
 _number = struct.Struct("<I")
 
-GIVEN: Final = (Reading, StampedReading, Stamped, CallRefused)
+GIVEN: Final = (Reading, StampedReading, OpenReading, Stamped, CallRefused)
 """The classes of what comes in whatever a robot's components declare."""
 
 _WAITED: Final = First(waits=True, value=None, error=None)
