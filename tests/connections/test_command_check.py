@@ -266,7 +266,7 @@ def test_true_is_no_whole_number() -> None:
 @pytest.mark.promise("AC-1")
 @pytest.mark.fault("V04")
 @pytest.mark.parametrize("safe", [Pair(0.0, 0.0), (0.0, 0.0), ("off", 0.0)])
-@pytest.mark.parametrize("value", ["1", None, [1.0]])
+@pytest.mark.parametrize("value", ["1", None, [1.0], np.asarray(1.0)])
 def test_a_place_of_a_tuple_that_must_be_a_number_is_one(safe: Any, value: Any) -> None:
     """Commands for boards are tuples: they are checked as other structures are."""
     command = (*safe[:1], value) if type(safe) is tuple else Pair(0.0, value)
@@ -298,7 +298,7 @@ def test_a_tuple_has_as_many_values_as_its_type_says(
 
 
 @pytest.mark.fault("V04")
-@pytest.mark.parametrize("value", ["1", None, [1.0], Plain(1.0)])
+@pytest.mark.parametrize("value", ["1", None, [1.0], Plain(1.0), np.asarray(1.0)])
 def test_a_field_that_must_be_a_number_is_one(value: object) -> None:
     """The field is named when it holds something else."""
     with pytest.raises(esair.BadValueError, match="linear: expected a number"):
@@ -506,6 +506,12 @@ class Int64:
         return 3.0
 
 
+class Smallest(int):
+    """Is less than each limit, if one asks it."""
+
+    __le__ = __ge__ = lambda *_: True
+
+
 @pytest.mark.promise("AC-1")
 @pytest.mark.parametrize(
     ("safe", "command", "sent"),
@@ -513,12 +519,16 @@ class Int64:
         (0.0, Int64(), 3.0),
         (0.0, fractions.Fraction(1, 2), 0.5),
         (0, Int64(), 3),
+        (0, Smallest(5), 5),
     ],
 )
 def test_any_number_of_the_kind_is_sent_as_what_is_wanted(
     safe: float, command: Any, sent: float
 ) -> None:
-    """The driver gets a plain int or float, whatever class the number had."""
+    """The driver gets a plain int or float, whatever class the number had.
+
+    So it cannot compare with the limits as it likes.
+    """
     checked = CommandCheck(FakeActuator("arm", safe=safe)).checked(command)
 
     assert checked == sent
@@ -736,3 +746,17 @@ async def test_a_driver_that_refuses_has_not_written() -> None:
         outcome = await user.proud.write(1.0)
         assert not outcome
         assert outcome.rule == "it is locked"
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("AC-5")
+async def test_a_number_in_a_frozen_command_is_one_that_stays() -> None:
+    """What only looks like one can be changed while the driver is busy."""
+    wheels = FakeActuator("wheels", safe=Twist(0.0, 0.0))
+    user: Any = esair.Behavior(name="user", writes={"wheels": esair.writes(Twist)})
+    speed: Any = np.asarray(0.3)
+    async with esair.Robot(resources=[wheels], behaviors=[user]):
+        with pytest.raises(esair.BadValueError, match="linear: expected a number"):
+            await user.wheels.write(Twist(speed, 0.0))
+        assert await user.wheels.write(Twist(speed[()], 0.0))
+    assert wheels.commands[1] == Twist(0.3, 0.0)

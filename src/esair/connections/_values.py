@@ -46,6 +46,8 @@ ATOMS_AND_NUMBERS = (int, float, complex, str, bytes, enum.Enum, type(None))
 
 _WHOLE = (str, bytes, bytearray, enum.Enum, type)  # what is compared as a whole
 
+_REAL = frozenset({float, int})
+
 _MISSING: Any = object()
 
 
@@ -242,7 +244,7 @@ class CommandCheck:
         get: Any = operator.attrgetter(*self._fields or [""])
         self._get = (lambda command: (get(command),)) if len(self._fields) == 1 else get
         if isinstance(actuator.safe, tuple):
-            self._get = iter  # its places are its fields
+            self._get = tuple  # its places are its fields
         self._kinds = dict(_kinds_in(actuator.safe))
         """What is where in a command: a number, or what has numbers in it."""
         self._of_numbers = _is_of_numbers(actuator.value_type)
@@ -298,11 +300,12 @@ class CommandCheck:
         if type(command) is self.wanted:
             if self.copies:
                 command = copy.copy(command)  # its parts are numbers
-            try:
-                if all(map(math.isfinite, self._get(command))):
-                    return command
-            except (TypeError, OverflowError):
-                pass  # a field is no number: it is named below
+            parts = self._get(command)
+            # What else can pass for a number may be changed after this look at it.
+            if _REAL.issuperset(map(type, parts)):
+                with contextlib.suppress(OverflowError):
+                    if all(map(math.isfinite, parts)):
+                        return command
         return self._any(command)
 
     def _any(self, command: Any) -> Any:
@@ -368,11 +371,14 @@ class CommandCheck:
 
     def _accept(self, command: Any, wanted: type) -> Any:
         if wanted is float and isinstance(command, float):
-            return float.__float__(command)  # its own class may compare as it likes
+            return float.__float__(command)
         if isinstance(command, wanted) and not (
             wanted is int and isinstance(command, bool)
         ):
-            return command
+            # Its own class may compare as it likes.
+            return (
+                int.__int__(typing.cast("int", command)) if wanted is int else command
+            )
         if passes_as(command, wanted):
             return wanted(command)
         raise self._bad("", f"expected {type_name(wanted)}, not {command!r:.80}")
