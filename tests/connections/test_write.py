@@ -139,6 +139,34 @@ async def test_silence_for_the_command_timeout_makes_it_safe(
         assert len(wheels.commands) == 7
 
 
+@pytest.mark.promise("AC-2", "RS-4")
+@pytest.mark.parametrize(
+    ("timeout", "after"), [(0.5, 0.5), (0.05, 0.1), (20.0, 20.0), (10.0, 10.0)]
+)
+async def test_a_time_out_that_is_changed_counts_for_what_stands(
+    timeout: float, after: float, user_of: Any
+) -> None:
+    """From the last write on, or at once if that is long ago."""
+    told: list[tuple[float, float]] = []
+
+    class Wheels(esair.Actuator[float]):
+        safe = 0.0
+        command_timeout = esair.setting(10.0, unit="s", min=0.01, max=60.0)
+
+        async def write(self, command: float) -> None:
+            told.append((command, esair.now()))
+
+    user = user_of("user", wheels=esair.writes(float, configure=True))
+    async with esair.Robot(resources=[Wheels()], behaviors=[user]):
+        await user.wheels.write(0.5)
+        await asyncio.sleep(0.1)
+        await user.wheels.configure(command_timeout=timeout)
+        await asyncio.sleep(30.0)
+        (_, _), (moves, began), (safe, ended) = told
+        assert (moves, safe) == (0.5, 0.0)
+        assert ended - began == pytest.approx(after, abs=1e-6)
+
+
 @pytest.mark.promise("AC-2")
 @pytest.mark.fault("R13")
 async def test_a_long_hold_keeps_others_away_but_does_not_keep_it_moving(

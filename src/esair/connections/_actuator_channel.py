@@ -125,6 +125,7 @@ class ActuatorChannel(Device):
         self.wire.configured()
         self.checked = self.wire.check.checked
         self._settle()
+        self._dead_man.hurry()
 
     # What others ask.
 
