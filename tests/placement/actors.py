@@ -76,6 +76,26 @@ class Elsewhere(esair.Behavior):
     placement = "process"
 
 
+class Ages(esair.Reaction):
+    """Says how old what it decides on is, from 1 on."""
+
+    sonar = esair.reads(float, max_age=1.0)
+    wheels = esair.writes(float)
+
+    def react(self, sonar: float) -> float:
+        return 1.0 + (esair.now() - self.sonar.newest.time)  # type: ignore[union-attr]
+
+
+class AgesAsStep(esair.Behavior):
+    """The same, performed."""
+
+    sonar = esair.reads(float, max_age=1.0)
+    wheels = esair.writes(float)
+
+    async def run(self) -> None:
+        await self.perform(Ages())
+
+
 class Follow(esair.Reaction):
     """Goes as fast as it sees; counts its steps."""
 

@@ -86,6 +86,32 @@ class Clock(esair.Sensor[float]):
         return time.monotonic()
 
 
+class Echo(esair.Sensor[float]):
+    """Waits for an echo that does not come, by the robot's clock."""
+
+    placement = "process"
+    rate = 20.0
+
+    def read(self) -> float:
+        begun = esair.now()
+        while esair.now() - begun < 0.01:
+            time.sleep(0.001)
+        return esair.now() - begun
+
+
+class Stopwatch(esair.ThreadBehavior):
+    """Says how long it has computed, by the robot's clock."""
+
+    placement = "process"
+
+    def run(self) -> None:
+        for _ in range(3):
+            begun = esair.now()
+            time.sleep(0.1)
+            self.offer(esair.now() - begun)
+        time.sleep(60.0)
+
+
 class AgedClock(Clock):
     """Says how old that is, too."""
 

@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 from tests.placement.actors import (
     Acts,
+    Ages,
+    AgesAsStep,
     Crashes,
     Follow,
     Gets,
@@ -513,6 +515,18 @@ async def test_a_reaction_decides_on_each_reading(place: Place, kind: Any) -> No
         for value in (0.3, 0.8, 0.6):
             world.sonar.feed(value)
             await world.wheels.until(value, timeout=1.0)
+
+
+@pytest.mark.promise("PLC-7", "BEH-5")
+@pytest.mark.parametrize("kind", [Ages, AgesAsStep])
+async def test_a_reaction_knows_what_time_it_is(place: Place, kind: Any) -> None:
+    """In its step it is the moment of that step, not of the one before."""
+    async with World(place(kind())) as world:
+        for value in (0.3, 0.8, 0.6):
+            await asyncio.sleep(0.25)
+            world.sonar.feed(value)
+        await asyncio.sleep(0.25)
+    assert {each for each in world.wheels.commands if each} == {1.0}
 
 
 @pytest.mark.promise("PLC-1")

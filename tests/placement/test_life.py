@@ -22,6 +22,7 @@ from tests.placement.parts import (
     Docked,
     Docking,
     Drive,
+    Echo,
     Loaded,
     OneByOne,
     PushedClock,
@@ -29,6 +30,7 @@ from tests.placement.parts import (
     SmallAvoid,
     SmallSonar,
     Sonar,
+    Stopwatch,
     ThreadDrive,
     Twist,
 )
@@ -90,6 +92,25 @@ async def test_a_sensor_is_read_from_its_process(kind: type[Any]) -> None:
         assert status.placement == "process"
         assert status.pid not in {None, os.getpid()}
         assert listen.heard == sorted(set(listen.heard))
+
+
+@pytest.mark.promise("BEH-5", "PLC-1")
+async def test_time_goes_on_in_a_plain_method_of_a_driver() -> None:
+    """A driver that waits by the robot's clock is through when its time is over."""
+    listen = Listen("echo")
+    async with esair.Robot(resources=[Echo(name="echo")], behaviors=[listen]):
+        await until(lambda: len(listen.heard) >= 3)
+    assert all(0.01 <= each < 0.2 for each in listen.heard)
+
+
+@pytest.mark.promise("BEH-5", "PLC-1")
+async def test_a_thread_hears_what_time_it_is_now() -> None:
+    """Not what it was when it began to compute."""
+    async with esair.Robot(behaviors=[Stopwatch(name="stopwatch")]) as robot:
+        get = robot.behaviors.get
+        for _ in range(3):
+            took = await get(sender="stopwatch", receiver="user", interval=10.0)
+            assert 0.1 <= took < 0.5
 
 
 class Late(esair.Reaction):

@@ -181,12 +181,15 @@ class Child(Exchange):
     def tick(self) -> None:
         self._wire.send(Op.TICK, NEVER)
 
-    def hear(self) -> float:
-        """Take what the robot says; return what time it is there."""
-        now, items = self._receive(goes_on=True)
-        for item in items:
+    def hear(self) -> None:
+        """Take what the robot says."""
+        for item in self._receive(goes_on=True):
             self._take(item)
-        return now
+
+    def give_turn(self) -> None:
+        """Let the robot go on, and tell what time it is, before this goes on."""
+        self._send(Op.TURN)
+        self.hear()
 
     def _send(self, kind: bytes, wake: float = NEVER) -> None:
         items = self.message()
@@ -197,16 +200,18 @@ class Child(Exchange):
         except OSError:
             self.end()
 
-    def _receive(self, *, goes_on: bool) -> tuple[float, list[Item]]:
+    def _receive(self, *, goes_on: bool) -> list[Item]:
         message = self._wire.receive()
         if message is None:
             self.end()
         assert message is not None
+        _, now, items = message
         self._has_turn = True
         self._heard = time.monotonic()
+        self.loop.told(now, self._heard)
         if goes_on and self._stall is not None:  # nobody there has a clock that tells
             faulthandler.dump_traceback_later(self._stall, exit=True)
-        return message[1:]
+        return items
 
     def end(self) -> None:
         """The robot wants no more of this process."""
@@ -243,7 +248,7 @@ class Child(Exchange):
         self._asked_at = self.loop.passes
         while not outcome:
             self._send(Op.TURN if goes_on else Op.SYNC)
-            for item in self._receive(goes_on=goes_on)[1]:
+            for item in self._receive(goes_on=goes_on):
                 if item.number == number and item.op in {Op.DONE, Op.FAIL}:
                     self.ended(number, *self.opened(item))
                 else:
@@ -386,6 +391,7 @@ class Child(Exchange):
         else:
             assert isinstance(made, Sensor)
             made._listener = self._device_said  # noqa: SLF001 - as its life does
+            self.loop.runs = not self.loop.is_of_virtual
 
     def recipe(self, action: Any) -> dict[str, Any]:
         """Return what the robot makes of an action that was made here."""

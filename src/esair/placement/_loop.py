@@ -1,7 +1,8 @@
 """The event loop of a child: it has no clock of its own, and takes turns with the robot.
 
 It works until nothing in it is ready and no thread of it computes. Then it says what it
-has done and when it wants to go on, and waits for a message, which brings the time.
+has done and when it wants to go on, and waits for a message, which brings the time. What a
+driver gives is kept in a recording, and not repeated: its time runs on from there.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import math
 import select
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
@@ -35,6 +37,10 @@ class ChildLoop(TurnLoop):
 
     def __init__(self, robot: int) -> None:
         self._now = 0.0
+        self._ahead = -math.inf
+        """What the robot's clock is ahead of the computer's, at least."""
+        self.runs = False
+        """Whether time goes on between two messages."""
         self.is_of_virtual = False
         """Whether the robot's clock is not real: it stands still while a thread works."""
         self.passes = 0
@@ -47,8 +53,16 @@ class ChildLoop(TurnLoop):
         for each in (robot, self._selector.fileno()):  # type: ignore[attr-defined]
             self._waits.register(each, select.POLLIN)
 
-    def clock(self) -> float:
-        return self._now
+    def time(self) -> float:
+        return time.monotonic() + self._ahead if self.runs else self._now
+
+    clock = time
+
+    def told(self, now: float, heard: float) -> None:
+        """Take note of what time it is, by a message that was heard at a moment."""
+        self._now = max(self._now, now)
+        self._ahead = max(self._ahead, now - heard)
+        self._clock_resolution = max(1e-9, 2 * math.ulp(self._now))
 
     def slept(self) -> float:
         return 0.0
@@ -76,6 +90,8 @@ class ChildLoop(TurnLoop):
             door.let_go()
             is_quiet = door.at_work == 0  # once: a thread may end at any moment
             if door.ripen(works=is_quiet):
+                if not self.is_of_virtual:
+                    self.home.give_turn()  # time has passed while they worked
                 break
             if not is_quiet:
                 if events := self._others(self._select(None)):
@@ -109,6 +125,5 @@ class ChildLoop(TurnLoop):
         self._hear()
 
     def _hear(self) -> None:
-        self._now = max(self._now, self.home.hear())
-        self._clock_resolution = max(1e-9, 2 * math.ulp(self._now))
+        self.home.hear()
         self._until = self.passes + AT_ONCE
