@@ -209,6 +209,50 @@ async def test_who_does_not_hold_the_actuator_does_not_operate_it() -> None:
         assert "home 0.1" not in lift.did
 
 
+@pytest.mark.promise("AC-2")
+@pytest.mark.parametrize("command", [0.0, -0.2])
+async def test_a_write_of_a_higher_priority_ends_an_operation(command: float) -> None:
+    """To stop or to back off: it is safe first, and who asked is told who was above."""
+    lift = Lift()
+    async with made(lift) as robot:
+        home = asyncio.ensure_future(
+            robot.resources.operate(await right(robot), "home")
+        )
+        brake = await robot.resources.register("brake", "lift", ALL, priority=50)
+        await asyncio.sleep(0.3)
+        asked = now()
+        written = await robot.actuators.write(brake, command)
+        with pytest.raises(esair.AccessDeniedError, match="priority 50 of 'brake'"):
+            await home
+        assert written
+        assert now() == asked
+        assert lift.did == [0.0, "home 0.1", "home ended", 0.0, command]
+
+
+@pytest.mark.promise("AC-2")
+async def test_none_begins_before_a_write_of_a_higher_priority_that_waits() -> None:
+    """The device is busy with an earlier command; who is above comes first."""
+
+    class Slow(Lift):
+        async def write(self, command: float) -> None:
+            self.did.append(command)
+            await asyncio.sleep(0.05)
+
+    lift = Slow(name="lift")
+    async with made(lift) as robot:
+        mine = await right(robot)
+        brake = await robot.resources.register("brake", "lift", ALL, priority=50)
+        moving = asyncio.ensure_future(robot.actuators.write(mine, 0.7))
+        await asyncio.sleep(0.01)
+        home = asyncio.ensure_future(robot.resources.operate(mine, "home"))
+        braking = asyncio.ensure_future(robot.actuators.write(brake, -0.2))
+        with pytest.raises(esair.AccessDeniedError, match="priority 50 of 'brake'"):
+            await home
+        assert await moving
+        assert await braking
+        assert "home 0.1" not in lift.did
+
+
 async def test_a_sensor_is_not_read_while_it_is_tared() -> None:
     """The polls go on afterwards; two who ask have their turns."""
     scale = Scale()

@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Callable, Generator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from esair.connections._calls import Call, End, Guard, Method
+from esair.connections._calls import OPERATE, Call, End, Guard, Method
 from esair.connections._device import Device, OfRobot, Operating
 from esair.connections._gate import (
     HALT,
@@ -18,6 +18,7 @@ from esair.connections._gate import (
     LastCommand,
     Registration,
     explain,
+    rule_of,
     shut,
     verdict,
 )
@@ -565,6 +566,13 @@ class ActuatorChannel(Device):
         halts: int,
         expires: float | None = None,
     ) -> Written[Any] | Refused:
+        current = self.operations.current
+        if current is not None and current.call is not None:
+            right, told = current.registration, rule_of(registration)
+            if registration.priority > right.priority:  # that is finished first
+                denied = AccessDeniedError(right.behavior, self.name, OPERATE, told)
+                self.operations.end(denied)
+                self.make_safe(stay=True)
         sent = await self._waiting.turn(registration, command, hold, halts, expires)
         return sent if isinstance(sent, Answer) else await sent
 
@@ -686,6 +694,8 @@ class ActuatorChannel(Device):
         right = operation.registration
         now, wire = self.time(), self.wire
         refused = verdict(self.gate, self.hold, right, now, operates=True)
+        if (above := self._waiting.above(right.priority)) and refused is None:
+            refused = self.hold.refusal(above)
         if refused is None:
             if wire.lane is not None or self.safe.state is not None:
                 return False

@@ -214,6 +214,11 @@ class WaitingWrites:
         finally:
             self.remove(write)
 
+    def above(self, priority: int) -> Registration | None:
+        """Return by which right of a higher priority one waits."""
+        rights = (each.registration for each in self._writes if not each.turn.done())
+        return next((right for right in rights if right.priority > priority), None)
+
     def first(self) -> WaitingWrite:
         """Take out the one whose turn it is."""
         first = max(self._writes, key=attrgetter("registration.priority"))

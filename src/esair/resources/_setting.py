@@ -310,8 +310,8 @@ def operation(function: Any = None, /, *, deadline: float | None = None) -> Any:
     An actuator is made safe before and after it. Its guards are asked when it begins and
     while it runs: one that answers None to what was asked of the actuator last, or what
     is safe, refuses it. What makes the actuator safe while it runs (a halt, a blind
-    hold, a guard) ends it by a cancellation: write one that moves as ``async def``, for
-    a plain one keeps the safe command waiting.
+    hold, a guard), and a write of a higher priority, end it by a cancellation: write one
+    that moves as ``async def``, for a plain one keeps the safe command waiting.
 
     Args:
         function: The method.
