@@ -8,6 +8,7 @@ import threading
 from typing import Any
 
 import attrs
+import numpy as np
 import pytest
 from tests.protection.road import PERIOD, RATE, SPEED, Drive, ObstacleGuard, Wheels
 
@@ -17,6 +18,9 @@ from esair.messages import BehaviorState
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
+
+
+HALF: Any = np.float32(0.5)
 
 
 @attrs.frozen
@@ -340,6 +344,34 @@ async def test_a_guard_gives_nothing_else_than_less(gives: Any) -> None:
         assert robot.behaviors.query("strange").state is BehaviorState.FAILED
         assert not await op.wheels.write(0.1)
         assert wheels.commands == [0.0, 0.1, 0.0]
+
+
+@pytest.mark.promise("PRO-6")
+@pytest.mark.parametrize(
+    ("asked", "gives", "safe"),
+    [
+        (0.8, HALF, 0.0),
+        (5, np.int64(3), 0),
+        (Twist(0.8, 0.1), Twist(HALF, 0.1), Twist(0.0, 0.0)),
+    ],
+)
+async def test_a_number_of_another_class_may_be_less(
+    asked: Any, gives: Any, safe: Any
+) -> None:
+    """As it may be a command: NumPy's are what a laser scan is made of."""
+
+    class Slow(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.guards(type(safe))
+
+        def react(self, sonar: float, wheels: Any) -> Any:
+            return gives
+
+    wheels, op = FakeActuator("wheels", safe=safe), user(kind=type(safe))
+    async with esair.Robot(resources=[ranges(), wheels], behaviors=[Slow(), op]):
+        written = await op.wheels.write(asked)
+        assert (written.command, written.by) == (gives, "slow")
+        assert wheels.commands == [safe, gives]
 
 
 @pytest.mark.promise("PRO-6")

@@ -95,7 +95,7 @@ def weaker_of(one: Any, other: Any, safe: Any) -> Any:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    return passes_as(value, float)
 
 
 def is_same(one: Any, other: Any) -> bool:
