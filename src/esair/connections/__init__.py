@@ -56,7 +56,7 @@ from esair.connections._ports import (
 )
 from esair.connections._protection import BLIND, UNDECIDED, Protection, Protections
 from esair.connections._sensor_channel import (
-    READ_TIMEOUT,
+    ANSWERS_WITHIN,
     Applied,
     AppliedChannel,
     Computation,
@@ -75,10 +75,10 @@ from esair.connections._values import (
 )
 
 __all__ = [
+    "ANSWERS_WITHIN",
     "BLIND",
     "DONE",
     "HALT",
-    "READ_TIMEOUT",
     "SENT",
     "UNDECIDED",
     "ActuatorChannel",

@@ -18,7 +18,7 @@ from esair.abc import Connection
 from esair.connections._actuator_channel import ActuatorChannel
 from esair.connections._gate import Registration, refusal, run_ended
 from esair.connections._protection import Protections
-from esair.connections._sensor_channel import READ_TIMEOUT, SensorChannel
+from esair.connections._sensor_channel import ANSWERS_WITHIN, SensorChannel
 from esair.exceptions import (
     EsairError,
     UnknownNameError,
@@ -253,7 +253,7 @@ class SensorPort(Port[T]):
             self.registration,
             fresh=fresh,
             max_age=limit,
-            timeout=READ_TIMEOUT if timeout is None else timeout,
+            timeout=ANSWERS_WITHIN if timeout is None else timeout,
         )
 
     def __aiter__(self) -> AsyncIterator[T]:

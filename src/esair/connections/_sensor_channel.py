@@ -39,7 +39,7 @@ from esair.values import passes_as
 PERIODS = 3.0
 """How many periods old a reading of a device that is asked may be, if nobody says."""
 
-READ_TIMEOUT = 1.0
+ANSWERS_WITHIN = 1.0
 """How long a read waits for the device unless it says otherwise, in seconds."""
 
 

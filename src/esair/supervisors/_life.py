@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import attrs
 
 from esair.actions import Behavior, Reaction, Reads
-from esair.connections import READ_TIMEOUT, SensorChannel
+from esair.connections import ANSWERS_WITHIN, SensorChannel
 from esair.exceptions import (
     BehaviorRemovedError,
     DeviceFaultError,
@@ -244,7 +244,7 @@ def silence_for(
         for need in action.needs.values()
         if isinstance(need, Reads) and need.provider == channel.name
     ]
-    if not declared or error.limit < min(*declared, READ_TIMEOUT):
+    if not declared or error.limit < min(*declared, ANSWERS_WITHIN):
         return None
     newest = channel.newest
     if newest is not None and channel.time() - newest.time <= error.limit:
