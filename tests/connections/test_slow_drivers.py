@@ -382,3 +382,43 @@ async def test_what_a_removed_device_does_late_is_undone_by_the_next(
         assert set(told) == {0.0}
         await asyncio.sleep(3.0)
         assert told[-2:] == [1.0, 0.0]
+
+
+@pytest.mark.promise("CALL-1")
+@pytest.mark.parametrize("means", ["replace", "remove", "wait"])
+async def test_what_was_given_up_before_its_turn_in_a_thread_is_not_begun(
+    means: str, user_of: Any
+) -> None:
+    """Its caller was told that it failed, and the hardware may have another driver."""
+    loop: Any = asyncio.get_running_loop()
+    calls: list[str] = []  # of "apply"
+
+    class Arm(esair.Actuator[float]):
+        safe = 0.0
+        deadline = 0.2
+        speed = esair.setting(0.5, min=0.0, max=9.0)
+
+        def write(self, command: float) -> None:
+            if command:
+                loop.wait_in_thread(1.6)
+
+        def apply(self, speed: float) -> None:
+            calls.append(f"speed {speed}")
+
+    user = user_of("user", arm=esair.writes(float, configure=True))
+    async with esair.Robot(resources=[Arm()], behaviors=[user]) as robot:
+        writes = asyncio.ensure_future(user.arm.write(1.0))
+        await asyncio.sleep(0.05)
+        with pytest.raises(esair.DeviceLostError, match="was given up"):
+            await user.arm.configure(speed=2.0)
+        with pytest.raises(esair.DriverStuckError):
+            await writes
+        await asyncio.sleep(0.1)
+        if means == "replace":
+            await robot.resources.replace("arm", Arm(name="arm"))
+        elif means == "remove":
+            await robot.resources.remove("arm")
+        await asyncio.sleep(3.0)
+        assert calls == []
+        if means == "wait":
+            assert robot.resources.query("arm").losses == 1

@@ -701,11 +701,13 @@ class ThreadedCall:
         )
 
     def _may_begin(self) -> bool:
-        if self._calls.lost is not None and self._call.kind != "close":
+        kind = self._call.kind
+        if self._calls.lost is not None and kind != "close":
             return False
-        if not self._wanted and self._call.kind == "read":
-            return False  # it got no turn in time: nobody would take the value
-        return self._guard is None or (self._wanted and self._guard())
+        # Who has asked was told that it failed, and there may be a successor by now.
+        if not self._wanted and kind not in {"safe", "close"}:
+            return False
+        return self._guard is None or self._guard()
 
     def cancel(self) -> None:
         self._wanted = False

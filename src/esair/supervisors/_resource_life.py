@@ -41,6 +41,7 @@ from esair.exceptions import (
 from esair.journal import Kind
 from esair.loop import (
     OPENING,
+    CallRefused,
     Deadline,
     Deadlines,
     News,
@@ -500,6 +501,8 @@ class ResourceLife:
         half of it: whatever came of it, that is a device that has restarted.
         """
         device = self.device
+        if isinstance(end.error, CallRefused):
+            return  # its turn on a thread came too late: it was not begun
         device.is_open = device.is_open or end.error is None
         if self.is_over:
             spawn(self._loop, self.device.close(), name=f"{self.name} close")
