@@ -1101,3 +1101,26 @@ async def test_who_gives_up_waiting_for_a_request_leaves_nothing() -> None:
         await asyncio.sleep(1.0)
         (queue,) = robot._behaviors.members["docking"].mail.queues.values()
         assert queue._takers == []
+
+
+@pytest.mark.promise("BS-8")
+@pytest.mark.parametrize("how", ["method", "loop"])
+async def test_an_answer_of_a_wrong_type_is_the_workers_mistake(how: str) -> None:
+    """It is checked like a reading: its asker never gets it as what it is typed."""
+
+    class Wrong(Methods):
+        @esair.answers
+        async def dock(self, request: Dock) -> Docked:
+            return 3  # type: ignore[return-value]
+
+    class Loop(Docking):
+        async def run(self) -> None:
+            async for request in self.orders:
+                async with request:
+                    request.answer(3)  # type: ignore[arg-type]
+
+    a = Idle(name="a")
+    worker = Wrong(name="b") if how == "method" else Loop(name="b")
+    async with esair.Robot(behaviors=[a, worker]):
+        with pytest.raises(esair.BehaviorFailedError, match="expected Docked, not 3"):
+            await a.ask("b", Dock(1), timeout=5.0)

@@ -18,7 +18,7 @@ from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from esair.actions import Request as Asked
-from esair.actions import Takes, taken
+from esair.actions import Takes, answer_type, taken
 from esair.exceptions import (
     BadValueError,
     BehaviorFailedError,
@@ -34,6 +34,7 @@ from esair.exceptions import (
 from esair.journal import Journal, Kind
 from esair.loop import Deadline, Portal, current_task_of, portal, spawn, wake, wake_one
 from esair.messages import BehaviorState
+from esair.values import fits, type_name
 
 if TYPE_CHECKING:
     from esair.supervisors._mediator import Mailbox
@@ -553,6 +554,10 @@ class Order(Request):
 
     def _answer(self, value: Any) -> bool:
         self._check_fits("answer", value)
+        wanted = answer_type(type(self.data))
+        if not self.over and not fits(value, wanted):
+            told = f"expected {type_name(wanted)}, not {value!r:.80}"
+            raise BadValueError(self.peer, "answer", told)
         return self.end(Outcome.ANSWERED, value) or self._ledger.late()
 
     def _refuse(self, reason: str) -> bool:
