@@ -288,6 +288,17 @@ class NeverRuns(esair.Reaction):
         return 1.0
 
 
+class InInit(Drive):
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.sonar = esair.reads(float)
+
+
+class Twice(Brake):
+    other = esair.writes(float, name="wheels", priority=10)
+    third = esair.writes(float, name="wheels", priority=-1)
+
+
 class NoReact(esair.Reaction):
     sonar = esair.reads(float)
 

@@ -188,6 +188,11 @@ CASES = [
          "bad_outbox", "outbox_policy"),
     Case(parts.NeverRuns, "it reads no sensor, so it needs a rate (Hz) to run at",
          "never_runs", "rate"),
+    Case(parts.InInit, "a port is an attribute of the class: write it there, not in "
+         "__init__, or give it to super().__init__(reads={...}, writes={...})",
+         "in_init", "sonar"),
+    Case(parts.Twice, "it writes 'wheels' by 'wheels' already: one port is enough, "
+         "unless their priorities differ", "twice", "other"),
     Case(parts.NoReact, "a reaction must have a react method", "no_react", "react"),
     Case(parts.AsyncReact, "expected a plain function, not async",
          "async_react", "react"),

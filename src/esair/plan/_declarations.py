@@ -24,6 +24,7 @@ from esair.actions import (
     Need,
     Reaction,
     Reads,
+    Takes,
     Writes,
     declared_requests,
     is_request,
@@ -205,7 +206,19 @@ def mistyped(reaction: Reaction) -> Iterator[Finding]:
             yield mistake("declaration", reaction, "react", told)
 
 
+def _in_instance(component: Component) -> Iterator[tuple[str, str]]:
+    """Yield each port that only an object has: nothing is registered for it."""
+    for attribute, value in vars(component).items():
+        if isinstance(value, Reads | Writes | Takes):
+            told = "a port is an attribute of the class: write it there, not in "
+            told += "__init__"
+            if not isinstance(value, Takes):
+                told += ", or give it to super().__init__(reads={...}, writes={...})"
+            yield attribute, told
+
+
 def _in_action(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:
+    yield from _in_instance(action)
     for attribute, need in action.needs.items():
         yield from wrong_port(attribute, need)
         if isinstance(action, Behavior):
@@ -248,6 +261,12 @@ def _in_reaction(reaction: Reaction) -> Iterator[tuple[str, str]]:
         others = ", ".join([*guards[1:], *reaction.outputs])
         told = "a guard guards one actuator and writes none"
         yield guards[0], f"{told}: make {others} part of another reaction"
+    known: dict[tuple[str, int], str] = {}
+    for attribute, need in reaction.outputs.items():
+        first = known.setdefault((need.resource, need.priority), attribute)
+        if first != attribute:
+            told = f"it writes {need.resource!r} by {first!r} already: "
+            yield attribute, told + "one port is enough, unless their priorities differ"
     if reaction.rate is None and not reaction.inputs and not guards:
         yield "rate", "it reads no sensor, so it needs a rate (Hz) to run at"
     for told in wrong_react(reaction):
@@ -284,6 +303,7 @@ def mistakes_in_requests(action: abc.Action) -> list[ConfigError]:
 
 def wrong_derived(derived: Derived[Any]) -> Iterator[tuple[str, str]]:
     """Yield each field of a derived sensor that is wrong, and what was expected."""
+    yield from _in_instance(derived)
     for attribute, need in derived.inputs.items():
         yield from wrong_port(attribute, need)
         if need.configure:
