@@ -131,7 +131,7 @@ async def test_each_who_reads_has_a_value_of_their_own(value: Any) -> None:
 @pytest.mark.promise("SC-4")
 async def test_one_that_came_late_is_known_by_its_stamp() -> None:
     """Of values that can be changed, too; one without a stamp does not count as one."""
-    lidar = FakeSensor("lidar", [0.0], rate=20.0)
+    lidar: Any = FakeSensor("lidar", [0.0], rate=20.0)
     user: Any = esair.Behavior(name="user", reads={"lidar": esair.reads(list)})
     async with esair.Robot(resources=[lidar], behaviors=[user]):
         await user.lidar.read(fresh=True)

@@ -242,7 +242,7 @@ async def test_a_measurement_that_comes_late_replaces_no_newer_one(
 
     class Follower(esair.Behavior):
         camera = esair.reads(float)
-        seen = ()
+        seen: tuple[float, ...] = ()
 
         async def run(self) -> None:
             async for value in self.camera:

@@ -6,6 +6,7 @@ import asyncio
 import functools
 import threading
 import time
+from typing import Any
 
 import pytest
 
@@ -48,7 +49,7 @@ async def test_calls_run_in_order_on_one_thread() -> None:
 @pytest.mark.promise("BUS-5")
 async def test_the_most_urgent_call_has_the_next_turn() -> None:
     """Also if it became so while it waited, and if as many wait as may."""
-    executor, order = Executor("bus", limit=8), []
+    executor, order = Executor("bus", limit=8), list[Any]()
     go, later = threading.Event(), Urgency()
     loop = asyncio.get_running_loop()
 
@@ -75,7 +76,7 @@ async def test_the_most_urgent_call_has_the_next_turn() -> None:
 @pytest.mark.promise("BUS-5")
 async def test_commands_have_each_second_turn() -> None:
     """They are before what waits, and do not fill the bus."""
-    executor, order = Executor("bus"), []
+    executor, order = Executor("bus"), list[Any]()
     loop, go, calls = asyncio.get_running_loop(), threading.Event(), []
     executor.submit(loop, InLine(loop=loop), go.wait)
     await asyncio.sleep(0.02)
