@@ -106,6 +106,8 @@ async def test_one_that_waits_in_a_thread_is_overtaken_by_safe(
         resources=[Blocking(name="motor", bus=wire), Slow(name="eye", bus=wire)],
         behaviors=[user],
     )
+    told: list[Event] = []
+    robot.journal.listen(told.append, kinds=[Kind.SENT, Kind.REFUSED])
     async with robot:
         reading = asyncio.create_task(user.eye.read())
         await asyncio.sleep(0.05)
@@ -143,6 +145,8 @@ async def test_one_that_waits_in_a_thread_is_overtaken_by_safe(
         assert await user.motor.write(2.0)
     assert 1.0 not in done
     assert 2.0 in done
+    about = [each.kind for each in told if each.peer == "user"]
+    assert about == [Kind.SENT, Kind.REFUSED, Kind.SENT]  # also if who asked has gone
 
 
 async def test_a_command_that_cannot_be_copied_is_told_as_it_is(user_of: Any) -> None:

@@ -466,9 +466,14 @@ class ActuatorChannel(Device):
             if not wire.told.is_safe:
                 wire.told.error = ""
             wire.took(call.args[0], end.value)
+        elif isinstance(end.error, CallRefused):
+            right = call.owner
+            # It was told as sent; who waits for it takes that back, or has gone.
+            if call.cancelled and isinstance(right, Registration):
+                self._refuse(right, self._overtaken(right))
         elif call.cancelled:
             wire.unknown()
-        elif not isinstance(end.error, CallRefused):
+        else:
             wire.failed(end.error, "write")
         if call.ended is not None:  # else its driver still has the device
             self._lane_free(call)
