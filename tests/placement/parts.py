@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import ctypes
 import logging
 import math
@@ -215,6 +216,38 @@ class Docked:
 @attrs.frozen
 class Dock(esair.Request[Docked]):
     bay: int
+
+
+class Impatient(esair.Behavior):
+    """Waits for a moment at a time, in one of three ways; offers what it has got."""
+
+    placement = esair.Placement(stall=0.5)
+    restart = esair.Restart(max=100, within=10)
+    orders = esair.takes(Dock)
+    inbox_size = 200
+    outbox_size = 200
+
+    def __init__(self, way: str, patience: float, *, name: str | None = None) -> None:
+        super().__init__(name=name)
+        self.way = way
+        self.patience = patience
+
+    async def run(self) -> None:
+        orders = aiter(self.orders)
+        while True:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(self.patience):
+                    if self.way == "receive":
+                        got = await self.receive()
+                    elif self.way == "get":
+                        got = await self.get("source", 60.0)
+                    else:
+                        got = await anext(orders)
+                if self.way == "ask":
+                    async with got:
+                        got.answer(Docked(got.data.bay))
+                else:
+                    self.offer(got)
 
 
 class Docking(esair.Behavior):

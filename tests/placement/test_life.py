@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextvars
 import gc
+import math
 import os
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,6 +25,7 @@ from tests.placement.parts import (
     Docking,
     Drive,
     Echo,
+    Impatient,
     Loaded,
     OneByOne,
     PushedClock,
@@ -363,3 +366,59 @@ async def test_classes_of_min_are_placed_too() -> None:
         await wheels.until(0.7, timeout=10.0)
         assert robot.behaviors.query("small_avoid").placement == "process"
         assert robot.resources.query("sonar").placement == "process"
+
+
+class Source(esair.Behavior):
+    """Offers what it is told to."""
+
+    async def run(self) -> None:
+        await asyncio.sleep(math.inf)
+
+
+@pytest.mark.promise("BS-4", "BS-9", "BS-10", "PLC-1")
+@pytest.mark.parametrize("way", ["receive", "get", "ask"])
+async def test_who_is_cancelled_has_taken_nothing(way: str) -> None:
+    """What comes in the instant of a timeout is there for who asks next."""
+    source, got = Source(name="source"), []
+    waits = Impatient(way, 0.01, name="waits")
+    async with esair.Robot(behaviors=[source, waits]) as robot:
+        there = robot.behaviors
+        for each in range(100):
+            await asyncio.sleep(0.0003 * each % 0.011)
+            if way == "ask":
+                asked = there.ask(
+                    Dock(each), sender="user", receiver="waits", timeout=5
+                )
+                got.append((await asked).bay)
+            elif way == "get":
+                source.offer(each)
+            else:
+                await there.put(each, sender="user", receiver="waits")
+        while way != "ask" and len(got) < 100:
+            got.append(await there.get(sender="waits", receiver="user", interval=5.0))
+    assert got == list(range(100))
+
+
+@pytest.mark.promise("BS-4", "BS-10", "PLC-6")
+@pytest.mark.parametrize("way", ["receive", "get", "ask"])
+@pytest.mark.parametrize("fault", [signal.SIGSTOP, signal.SIGKILL])
+async def test_who_dies_while_it_waits_has_taken_nothing(way: str, fault: int) -> None:
+    """What is delivered before the robot knows of it is there for its next process."""
+    source = Source(name="source")
+    waits = Impatient(way, 60.0, name="waits")
+    async with esair.Robot(behaviors=[source, waits]) as robot:
+        there = robot.behaviors
+        await asyncio.sleep(0.2)
+        pid = there.query("waits").pid
+        assert pid is not None
+        os.kill(pid, fault)
+        if way == "ask":
+            asked = there.ask(Dock(7), sender="user", receiver="waits", timeout=20.0)
+            assert await asked == Docked(7)
+            return
+        if way == "get":
+            source.offer(7)
+        else:
+            await there.put(7, sender="user", receiver="waits", interval=20.0)
+        await until(lambda: there.query("waits").restarts == 1)
+        assert await there.get(sender="waits", receiver="user", interval=20.0) == 7

@@ -235,6 +235,17 @@ class Child(Exchange):
             self._of_others.add(outcome.number)
         return outcome
 
+    async def fetch(self, verb: str, *args: Any) -> Any:
+        """Wait until the robot has something for a call, and take it, without a turn.
+
+        So who is cancelled, hangs or dies before has taken nothing.
+        """
+        there = self.call(verb, *args)
+        number = self.newest
+        self.told_of(number, lambda _: settle(there, None, None))
+        await there
+        return self.wait("fetch", number)
+
     def told_of(self, number: int, hear: Callable[[Any], object]) -> None:
         self._news[number] = hear
 

@@ -60,10 +60,10 @@ class Host:
         await self._child.call("put", receiver, data, interval)
 
     async def get(self, sender: str, interval: float) -> Any:
-        return await self._child.call("get", sender, interval)
+        return await self._child.fetch("get", sender, interval)
 
     async def receive(self, timeout: float | None) -> tuple[str, Any]:
-        return await self._child.call("receive", timeout)  # type: ignore[no-any-return]
+        return await self._child.fetch("receive", timeout)  # type: ignore[no-any-return]
 
     def offer(self, data: Any, latest: bool) -> None:
         self._child.wait("offer", data, latest=latest)
@@ -321,7 +321,7 @@ class Loop(AsyncIterator[Any]):
         if not self._is_begun:
             self._is_begun = True
             await child.call("loop", self._number, self._attribute)
-        number, data, sender = await child.call("next_order", self._number)
+        number, data, sender = await child.fetch("next_order", self._number)
         order = Order(child, number, data, sender, self._number)
         order.serve()
         return order.handle

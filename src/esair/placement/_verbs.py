@@ -11,8 +11,9 @@ from typing import Any, Final, NamedTuple
 
 from esair import minimal
 from esair.actions import Behavior, Reaction, adapt_action
+from esair.connections import run_ended
 from esair.exceptions import AccessDeniedError, ConfigError
-from esair.loop import clock_of, settle, wake
+from esair.loop import clock_of, current_task_of, settle, wake
 from esair.messages import Access, Refused
 from esair.placement._wire import ASKED, AWAITED, CALLED, End, Op, make
 from esair.plan import SCRIPT
@@ -99,6 +100,19 @@ class StepSeat:
         self._seat.decide(step, decided, self._number)
 
 
+class InHand(asyncio.Future[None]):
+    """Waits until the child has fetched something; cancelled, it puts that back at once."""
+
+    value: Any
+    put_back: Callable[[], object]
+
+    def cancel(self, msg: Any | None = None) -> bool:
+        is_left = super().cancel(msg)
+        if is_left:
+            self.put_back()
+        return is_left
+
+
 class Verbs:
     """What a child may ask for, by name.
 
@@ -173,6 +187,8 @@ class BehaviorVerbs(PortVerbs):
         self.orders: dict[int, Any] = {}
         """The requests that the child works on, by their number."""
         self._left: dict[int, asyncio.Future[BaseException | None]] = {}
+        self._handed: dict[int, InHand] = {}
+        """What the child may fetch, by the number of its call."""
         self._is_over = False
         self.plain |= {
             # Not its own: that of a thread's behavior waits for a thread, in the child.
@@ -182,13 +198,14 @@ class BehaviorVerbs(PortVerbs):
             "query": lambda name: behavior.supervisor.query(name),
             "halt": self._halt,
             "stage": self._next_stage,
+            "fetch": self._fetch,
             "order": self._order,
             "enter": self._enter,
             "leave": self._leave,
         }
         self.waits |= {
             "put": lambda _, *args: Behavior.put(behavior, *args),
-            "get": lambda _, *args: Behavior.get(behavior, *args),
+            "get": self._get,
             "ask": self._ask,
             "receive": self._receive,
             "register": self._register,
@@ -321,8 +338,37 @@ class BehaviorVerbs(PortVerbs):
             progress=tell if progress else None,
         )
 
-    async def _receive(self, _: Asked, timeout: float | None) -> tuple[str, Any]:
-        return await Behavior.receive_from(self._behavior, timeout=timeout)
+    async def _receive(self, asked: Asked, timeout: float | None) -> None:
+        mail = vars(self._behavior)["_mail"]
+        taken = await Behavior.receive_from(self._behavior, timeout=timeout)
+        await self._hand_over(asked.number, taken, lambda: mail.untake(taken))
+
+    async def _get(self, asked: Asked, sender: str, interval: float) -> None:
+        mail = vars(self._behavior)["_mail"]
+        data = await Behavior.get(self._behavior, sender, interval)
+        await self._hand_over(asked.number, data, lambda: mail.give_back(sender, data))
+
+    async def _hand_over(
+        self, number: int, value: Any, put_back: Callable[[], object]
+    ) -> None:
+        """Wait until the child has fetched something; what it does not is put back."""
+        loop = asyncio.get_running_loop()
+        context = current_task_of(loop).get_context()
+        in_hand = self._handed[number] = InHand(loop=loop)
+        in_hand.value = value
+        in_hand.put_back = functools.partial(context.run, put_back)
+        self._seat.reply(Op.NEWS, number, None)
+        try:
+            await in_hand
+        finally:
+            del self._handed[number]
+
+    def _fetch(self, number: int) -> Any:
+        in_hand = self._handed.get(number)
+        if in_hand is None or in_hand.done():
+            raise run_ended(self._behavior.name)
+        in_hand.set_result(None)
+        return in_hand.value
 
     async def _manage(self, _: Asked, verb: str, *args: Any) -> Any:
         if verb not in _MANAGED:
@@ -383,6 +429,8 @@ class BehaviorVerbs(PortVerbs):
 
     def close(self) -> None:
         self._is_over = True
+        for in_hand in reversed(tuple(self._handed.values())):
+            in_hand.cancel()  # the last first: each goes before the others
         for left in self._left.values():
             settle(left, None, None)
 
@@ -401,10 +449,11 @@ class BehaviorVerbs(PortVerbs):
             )
         self._loops[number] = aiter(vars(self._behavior)[attribute]), 0
 
-    async def _next_order(self, _: Asked, number: int) -> tuple[int, Any, str]:
+    async def _next_order(self, asked: Asked, number: int) -> None:
         loop, before = self._loops[number]
         self.orders.pop(before, None)
         request = await anext(loop)
         order = self.hand(request)
         self._loops[number] = loop, order
-        return order, request.data, request.sender
+        value = order, request.data, request.sender
+        await self._hand_over(asked.number, value, loop.put_back)

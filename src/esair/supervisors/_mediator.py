@@ -311,6 +311,17 @@ class Mailbox:
             self.admit()
         return taken
 
+    def untake(self, taken: tuple[str, Any]) -> None:
+        """Have again, before all others, what did not reach who has received it."""
+        self.inbox.insert(0, taken)
+        self.wake()
+
+    def give_back(self, sender: str, data: Any) -> None:
+        """Let the next one have what did not reach who has got it, if it is there once."""
+        member = self._mediator.boxes.get(sender)
+        if member is not None and member.latest is NOTHING:
+            member.put_back(data)
+
     def offer(self, data: Any, latest: bool) -> None:
         """Lay data out for whoever asks for it."""
         self.check_speaker()

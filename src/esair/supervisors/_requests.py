@@ -646,6 +646,17 @@ class OrderQueue(RequestQueue):
         self._takers: list[asyncio.Future[None]] = []
         self._loops: weakref.WeakSet[Loop] = weakref.WeakSet()
 
+    def put_back(self, order: Order) -> None:
+        """Let one that nobody has seen wait again, before all others."""
+        self.done_with(order)
+        if not order.over:
+            others = self._waiting.pop(order.asker, ())
+            queue = collections.deque([order, *others])
+            self._waiting = {order.asker: queue, **self._waiting}
+            order.waits, order.outer = True, None
+            self.count += 1
+            self.roused()
+
     def busy(self) -> list[Request | None]:
         """Return what each of those who take these requests works on, or None."""
         if self.method is not None:
@@ -729,6 +740,13 @@ class Loop(AsyncIterator[Any]):
         order.serve()
         asked: Asked[Any] = order.handed[0]
         return asked
+
+    def put_back(self) -> None:
+        """The request that was taken last did not reach who has taken it."""
+        order, self.current = self.current, None
+        if order is not None:
+            serving.set(None)
+            self._queue.put_back(order)
 
 
 def _is_elsewhere(loop: asyncio.AbstractEventLoop) -> bool:
