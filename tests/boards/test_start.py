@@ -89,7 +89,7 @@ def test_only_a_board_that_the_host_arms_is_armed_by_it(
     with stdin, io.FileIO(far, "w") as line:
         for flags in (2, None, 4):
             if flags is not None:
-                line.write(wire.stuffed(bytes([ord("h"), link.VERSION, flags])))
+                line.write(wire.stuffed(bytes([ord("h"), link.VERSION, flags, 0, 0])))
             steps(loop, start, 1)
         steps(loop, start, arm == "host")
 

@@ -14,7 +14,7 @@ import esair
 from esair.boards.link import VERSION
 from esair.buses.serial import FakeSerial
 from esair.drivers.board import BoardActuator, BoardSensor
-from esair.drivers.board.wire import signed
+from esair.drivers.board.wire import signed, unstuffed
 from esair.messages import ResourceState
 
 pytestmark = pytest.mark.promise("MIN-4")
@@ -30,6 +30,13 @@ def beating(line: FakeSerial, *now_ms: int) -> FakeSerial:
         names = signed(b"n" + struct.pack("<II", 50_000, 0) + b"light;wheels")
         return line.framing.encode(signed(whole)) + line.framing.encode(names)
 
+    def answer(data: bytes) -> None:
+        for each in filter(None, data.split(b"\0")):
+            said = unstuffed(each) or b""
+            if said[:1] == b"w":
+                line.say(signed(b"a" + said[1:2] + b"T"))
+
+    line.on_write = answer
     line.repeat(beat, 0.1)
     return line
 

@@ -73,7 +73,7 @@ class Board:
 
     def hear(self, *messages):
         for each in messages:
-            self.come += stuffed(each)
+            self.come += stuffed(beat(self, of=each) if each in BEATS else each)
 
     def step(self, count=1, each=()):
         """Make steps; in each round these messages come, one for a step."""
@@ -102,9 +102,18 @@ def stuffed(payload):
     return bytes(found + b"\0")
 
 
-BEAT = bytes([104, link.VERSION, 0])
-ASK = bytes([104, link.VERSION, 1])
-OTHER = bytes([104, link.VERSION + 1, 0])
+BEAT, ASK, OTHER = "a beat", "one that asks for the names", "one of another version"
+BEATS = {BEAT: (link.VERSION, 0), ASK: (link.VERSION, 1), OTHER: (link.VERSION + 1, 0)}
+
+
+def beat(board, age=0, of=BEAT):
+    """Answer what the board would have said in a beat, so many milliseconds ago."""
+    return bytes((104,) + BEATS[of]) + moment(board, age)
+
+
+def moment(board, age=0):
+    """A time of the board, in the sixteenths of a beat."""
+    return ((board.loop._ms - age >> 4) & 0xFFFF).to_bytes(2, "little")
 
 
 def go(speed):
@@ -143,6 +152,80 @@ def attack_beats_that_come_back_bring_no_old_command():
     assert board.now == 0.0, board.motor.told
     board.step(2, [BEAT, go(0.25)])
     assert board.now == 0.25, board.motor.told
+
+
+def attack_what_waited_while_the_board_was_held_up_moves_nothing():
+    """Its part blocks a step for a second; meanwhile the computer goes on, or is killed."""
+    for waited in range(0, 40, 3):
+        board = driving()
+        board.loop.skip(1000 // STEP_MS)
+        for n in range(waited):
+            board.hear(beat(board, 1000 + STEP_MS * (waited - n)), go(0.25))
+        board.step(30)
+        assert board.now == 0.0, board.motor.told
+        assert 0.25 not in board.motor.told, board.motor.told
+        board.step(3, [BEAT, go(0.75)])
+        assert board.now == 0.75, board.motor.told
+
+
+def attack_what_waits_delays_no_beat_of_now():
+    """It is thrown away as fast as the line brings it, not a message in each step."""
+    board = driving()
+    board.loop.skip(1000 // STEP_MS)
+    for _ in range(50):
+        board.hear(beat(board, 1000), go(0.25))
+    board.step(6, [BEAT, None, None, None, None])
+    board.step(2, [BEAT, go(0.75)])
+    assert board.now == 0.75, board.motor.told
+
+
+def attack_the_step_that_was_held_up_takes_no_beat_for_new():
+    """It hears the line before it knows how late it is."""
+    board = driving()
+    board.hear(beat(board), go(0.25))
+    board.loop.step()
+    board.link()
+    board.loop.skip(400 // STEP_MS)
+    board.step(30)
+    assert 0.25 not in board.motor.told, board.motor.told
+
+
+def attack_a_beat_counts_from_the_one_that_it_answers():
+    board = driving()
+    del board.motor.told[:]
+    board.step(1, [beat(board, 200), go(0.25)])
+    for order in board.link.orders:
+        order.good_ms = 5000
+    board.step(1, [beat(board, 240), go(0.5)])
+    board.step(4)
+    assert board.now == 0.5, board.motor.told
+    board.step(1)
+    assert board.now == 0.0, board.motor.told
+
+
+def attack_a_long_command_does_not_outlive_a_silence():
+    """It was good for five seconds, and nobody has given it again."""
+    board = driving()
+    board.link.orders[0].good_ms = 5000
+    board.step(2, [BEAT, go(0.5)])
+    board.step(SILENT)
+    assert board.now == 0.0, board.motor.told
+    board.step(SILENT, [BEAT])
+    assert board.now == 0.0, board.motor.told
+
+
+def attack_an_old_beat_disarms_and_never_arms():
+    board = Board(armed=False)
+    board.link.arms = True
+    arm, disarm = (bytes([104, link.VERSION, each]) for each in (2, 4))
+    board.step(30)
+    old = moment(board, 400)
+    board.step(2, [arm + old])
+    assert not board.loop.armed
+    board.step(2, [arm + moment(board)])
+    assert board.loop.armed
+    board.step(2, [disarm + old])
+    assert not board.loop.armed
 
 
 def attack_a_reflex_outranks_any_flood():

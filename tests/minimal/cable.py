@@ -171,6 +171,11 @@ class Cable:
         with self._lock:
             self._reset(cause)
 
+    def freeze(self, *, still: bool = True) -> None:
+        """Let the board stand still, with its power, or go on."""
+        if self._process is not None:
+            os.killpg(self._process.pid, signal.SIGSTOP if still else signal.SIGCONT)
+
     def cut_after(self, count: int) -> None:
         """Cut the power when so many bytes more have passed."""
         with self._lock:

@@ -266,7 +266,7 @@ def beating(beat: bytes) -> Iterator[str]:
 
 
 @pytest.mark.parametrize(
-    "beat", [b"b\x04" + bytes(24), b"B\0[7, 0]", b"B\0[1, 500, 25]"]
+    "beat", [b"b\x05" + bytes(24), b"B\0[7, 0]", b"B\0[1, 500, 25]"]
 )
 def test_a_board_of_another_version_is_refused_in_one_sentence(beat) -> None:
     """By `monitor`, too: of the next version, and of the first."""
@@ -279,7 +279,7 @@ def test_a_board_of_another_version_is_refused_in_one_sentence(beat) -> None:
 
 def test_a_board_of_the_version_before_is_watched() -> None:
     """Its beats have the number before, and are the same."""
-    state = struct.pack("<BBBBHIIIIHH", 98, 2, 1, 255, 0, 500, 0, 3, 1, 0, 0)
+    state = struct.pack("<BBBBHIIIIHH", 98, 3, 1, 255, 0, 500, 0, 3, 1, 0, 0)
     told: list[object] = []
     with beating(state + b"imu: OSError()") as port:
         firmware.monitor(port, told.append, seconds=0.5)

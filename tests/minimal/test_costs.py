@@ -123,8 +123,8 @@ found["wiring"] = most
 print(json.dumps(found))
 """
 
-LINK = """import gc, json, time
-from binascii import unhexlify
+LINK = """import gc, json, struct, time
+from binascii import crc32, unhexlify
 from esair.boards import link
 from esair.boards.line import Line
 from esair.minimal import Actuator, Loop, Reaction, Sensor, guards, reads, writes
@@ -175,6 +175,17 @@ def also(actuator):
     kind = type("Also", (Cruise,), {"wheels": writes(tuple, name=actuator.name)})
     return kind(actuator.name)
 
+def beat(data, now):
+    "A beat of the computer, which answers one of now, in place of one of another time."
+    if data[1:2] != b"h":
+        return data
+    payload = data[:4] + struct.pack("<H", now >> 4)
+    payload = payload[1:] + struct.pack("<I", crc32(payload[1:]))
+    found = b""
+    for piece in payload.split(b"\\0"):
+        found += bytes([len(piece) + 1]) + piece
+    return found + b"\\0"
+
 def measured(linked, others=0, count=400):
     come = io.BytesIO()
     sensors = [Bumper(), Light()]
@@ -194,6 +205,7 @@ def measured(linked, others=0, count=400):
     for i in range(count + 60):
         if linked:
             data = unhexlify(messages[others][i % 50 if i else 50])
+            data = beat(data, 20 * i)
             come = io.BytesIO(data)
             line.read = come.readinto
             line.came = takes if data else {0: ()}.get

@@ -7,6 +7,7 @@ import pty
 import struct
 import tty
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 from tests.minimal import attacks
@@ -279,20 +280,19 @@ def test_a_reading_that_comes_with_each_beat_is_sent() -> None:
 
 
 def test_what_waits_for_one_step_goes_in_one_message() -> None:
-    """Commands and rates; to a board of the version before one each, the oldest first."""
+    """Commands and rates, the oldest first."""
     wire_ = wire.Wire()
     beat = struct.pack("<BBBBHIIIIHH", 98, link.VERSION, *[0] * 9)
     names = b"n" + struct.pack("<II", 50_000, 0) + b"a,b;" + b",".join(WHEELS)
-    assert [each.version for each in wire_.said(beat) + wire_.said(names)] == [3]
+    assert [each.version for each in wire_.said(beat) + wire_.said(names)] == [
+        link.VERSION
+    ]
     many = {each.decode(): wire_.command(each.decode(), 0.5) or b"" for each in WHEELS}
 
     message, sent = wire_.commands(many)
     assert sent == list(many)[:7]
     assert len(wire.stuffed(message[:-4])) <= link.AT_ONCE
     assert len(wire_.rates({"a": 10.0, "b": 5.0})) == 1
-    wire_.version = 2
-    assert wire_.commands(many)[1] == ["w0"]
-    assert len(wire_.rates({"a": 10.0, "b": 5.0})) == 2
 
 
 WHEELS = [b"w%d" % number for number in range(20)]
@@ -321,3 +321,75 @@ def test_each_value_crosses_as_what_it_is(value) -> None:
     end = link.packed(buffer, 3, value)
     found, at = link.unpacked(bytes(buffer), 3)
     assert (repr(found), at) == (repr(wire.tuples(value)), end)
+
+
+def answered(board: attacks.Board, *messages: bytes | str) -> tuple[str, str, object]:
+    """Return what a board answers to a command: the reason, who, and what was done."""
+    reads = wire.Wire()
+    board.step(2, [attacks.ASK])
+    board.step(20)
+    board.said.clear()
+    board.step(1, [*messages])
+    board.step(4)
+    said = [wire.unstuffed(each) for each in b"".join(board.said).split(b"\0") if each]
+    names = b"n" + struct.pack("<II", 50_000, 0) + b";motor"
+    beat = struct.pack("<BBBBHIIIIHH", 98, link.VERSION, *[0] * 9)
+    told = [each for one in [beat, names, *said] for each in reads.said(one or b"")]
+    (answer,) = (each for each in told if isinstance(each, wire.Answer))
+    return answer.reason, answer.who, answer.done
+
+
+def test_each_command_is_answered() -> None:
+    """By what the board did with it: all of it, a part, or who was against it."""
+    go, beat = attacks.go(0.5), attacks.BEAT
+    held, moved = attacks.Board(), attacks.Board()
+    held.bumper.hit = True
+    limited = attacks.Board()
+    limited.loop.outputs["motor"].limits, limited.loop.outputs["motor"].clamp = (
+        {"": (-0.25, 0.25)},
+        True,
+    )
+
+    assert answered(moved, beat, go) == ("", "", None)
+    assert answered(moved, beat, attacks.go(0.0)) == ("", "", None)
+    assert answered(limited, beat, go) == ("", "", 0.25)
+    assert answered(held, beat, go) == ("it holds it", "avoid", None)
+    assert answered(held, beat, attacks.go(0.0)) == ("it holds it", "avoid", None)
+    unarmed = answered(attacks.Board(armed=False), beat, go)
+    assert unarmed == ("the board is not armed", "", None)
+    late = answered(moved, attacks.beat(moved, 2000), go)
+    assert late == ("it came too late", "", None)
+    wrong = answered(moved, beat, attacks.go("x"))
+    assert wrong == ("the board takes no such command", "", None)
+
+
+async def test_a_command_that_the_board_does_not_do_is_refused(plugged) -> None:
+    """Its writer hears who drives; what is said of it is not that it was applied."""
+    answers: list[esair.Written[Any] | esair.Refused] = []
+
+    class Ask(Explore):
+        async def run(self) -> None:
+            async for _ in esair.every(0.05):
+                answers[:] = [*answers, await self.wheels.write((1.0, 0.25))]
+
+    robot, _ = host(plugged, Ask())
+    async with robot:
+        await until(lambda: (0.5, 0.25) in [each.command for each in answers if each])
+        plugged.bump(True)
+        await until(lambda: not answers[-1])
+        assert isinstance(answers[-1], esair.Refused)
+        assert (answers[-1].holder, answers[-1].rule) == ("base:avoid", "it holds it")
+        plugged.bump(False)
+        await until(lambda: bool(answers[-1]))
+
+
+@pytest.mark.promise("OPS-3")
+async def test_a_board_that_stands_still_has_not_answered(plugged) -> None:
+    """Nobody says of its wheels that they are safe, while it cannot have heard it."""
+    robot, _ = host(plugged)
+    async with robot:
+        await until(lambda: last(plugged) == (0.5, 0.25))
+        plugged.cable.freeze()
+        told = await robot.halt("a test")
+        plugged.cable.freeze(still=False)
+    assert [each.answered for each in told] == [False]

@@ -5,6 +5,9 @@ beats. What the computer writes has the lowest priority of all: the reactions on
 outrank it. When its beats stay away, whatever it moved is safe at once. Each beat has
 `VERSION`: a board and a computer of other versions only tell it to each other.
 
+A beat of the computer answers one of the board, and is as old as that: what waited while
+the board was held up comes too late to move anything. Each command has its answer.
+
 A step sends one message at most, and takes one at most: the computer sends none sooner
 than the next step, but for its first. All numbers are little-endian::
 
@@ -13,11 +16,16 @@ than the next step, but for its first. All numbers are little-endian::
       [fault]]                         how it is; flags: 1 armed, 2 floats are doubles;
                                        the counts when they change, and each second
     s (index value)...                 readings; `x` for a sensor that gives none
+    a (place what)...                  what came of commands: `T` done, `w` and a value done
+                                       so far, or who is against it, and how: `h`, `b`, `g`
+                                       and a name, or a letter alone
     n rate:I free:I sensors "," ... ";" actuators
                                        steps in 1000 s, names in the order of indices
     computer to board
-    h VERSION flags                    a beat; 1: tell the names, 2: arm, 4: disarm
-    w (index value)...                 commands; none to give the actuator back
+    h VERSION flags time:H             answers a beat, of now_ms / 16; 1: tell the names,
+                                       2: arm, 4: disarm
+    w (place value)...                 commands, which count after a beat in time; the place
+                                       is the index, and a number in the three upper bits
     r (index interval:H)...            send these sensors so often, in milliseconds
     q                                  end, safe, and make room
 
@@ -41,7 +49,7 @@ if TYPE_CHECKING:
 
 const = int  # MicroPython's compiler knows the word, and puts the number in its place
 
-VERSION = 3
+VERSION = 4
 
 HOST = "<host>"
 """What the computer is called here; no part of a robot can have such a name."""
@@ -51,7 +59,7 @@ PRIORITY = -1000
 
 BEAT_MS = const(100)
 SILENCE_MS = const(350)
-"""After so long without a beat of the computer it counts as gone."""
+"""So long after the last of its beats that the computer has answered it counts as gone."""
 
 LONGEST = const(512 + 96)
 """Bytes of a message; what is longer is left out, or thrown away."""
@@ -76,6 +84,7 @@ FLOAT = "d" if 1.0 + 2.0**-30 != 1.0 else "f"
 """How a float goes over the line: as the board has them."""
 
 
+_ZEROS = bytes(2 * PIECE)
 _FORMS = {ord(each): "<" + each for each in "fdiq"}
 _PAIRS = {ord(each): "<2" + each for each in "fd"}
 _SIZES = {ord(each): 1 + struct.calcsize("<" + each) for each in "fdiq"}
@@ -182,6 +191,9 @@ class FromHost(Reaction):
         self.good_ms: int = int(min(seconds * 1000, _HALF))
         self.command: Any = None
         self.ends: int = 0
+        self.place: int = 0  # in its message, for the answer
+        self.came: int = -1  # when the command came whose outcome was not told yet
+        self.output: Any = None
 
     def react(self, host: int) -> "Any":
         """Go on with what the computer has written last, while it is good."""
@@ -249,6 +261,10 @@ class Link:
         self.faults: int = 0
         self.counts: int = 0
         self.answer: "Any" = None  # what is to be told next
+        self.came: int = -1  # when the last command came that was not answered yet
+        self.waits: int = 0  # for how many steps it, or one before, has waited
+        for order in orders:
+            order.output = loop.outputs[order.target]
         self.gap: int = 1000000 // loop.every
         self.packet: bytearray = bytearray(LONGEST)
         self.message: bytearray = bytearray(LONGEST)
@@ -287,6 +303,12 @@ class Link:
             self.packet[: len(data)] = data
             self._send(len(data))
             return
+        if self.came >= 0:
+            # Others have their turn first, and what goes on coming is answered in one.
+            self.waits += 1
+            if self.waits > 1 and (self.came != now or self.waits > 3):
+                self._answer(now)
+                return
         if 0 < self.rest - now <= BEAT_MS:
             return
         ahead = self.beat - now
@@ -321,6 +343,56 @@ class Link:
         if at > 1:
             packet[0] = 115  # s
             self._send(at)
+
+    def _answer(self, now: int) -> None:
+        """Say what came of the commands that a step has had by now."""
+        packet, at = self.packet, 1
+        self.came, self.waits = -1, 0
+        for order in self.orders:
+            came = order.came
+            if came < 0:
+                continue
+            if came == now:
+                self.came = now
+                continue
+            order.came = -1
+            packet[at] = order.place
+            told = order.output.last
+            if told is not None and told == order.command:
+                packet[at + 1] = 84  # T
+                at += 2
+            else:
+                at = self._outcome(order, at + 1)
+        packet[0] = 97  # a
+        self._send(at)
+
+    def _outcome(self, order: FromHost, at: int) -> int:
+        """Write what came of a command; return where the next one begins."""
+        packet, output, name, how = self.packet, order.output, None, 102  # f
+        writer = output.writer
+        told = output.safe if output.last is None else output.last
+        if order.command is None:
+            how = 108  # l
+        elif not output.bad and told == order.command:
+            how = 84  # T
+        elif writer:
+            name, how = writer.task, 104  # h
+            if name.reaction is order:
+                packet[at] = 119  # w
+                return packed(packet, at + 1, told)
+        elif not self.loop.armed:
+            how = 110  # n
+        elif not output.bad:
+            for port in output.guards:
+                name, how = port.task, 103  # g
+            for port in output.ports:
+                if port.task.blind and port.bar >= PRIORITY:
+                    name, how = port.task, 98  # b
+                    if name.reaction is order:
+                        name, how = None, 120  # x
+                    break
+        packet[at] = how
+        return at + 1 if name is None else packed(packet, at + 1, name.name)
 
     def _beat(self, now: int) -> None:
         loop, packet, lost = self.loop, self.packet, self.line.lost
@@ -391,11 +463,10 @@ class Link:
                 end += 1
             out[code] = at - code
             code = at
-        for i in range(end, line.used):
-            out[i] = 0
+        out[end : line.used] = _ZEROS[: line.used - end]
 
     def _hear(self) -> None:
-        """Take what the line has brought, one message at most."""
+        """Take what the line has brought, one message at most; more if they are late."""
         line = self.line
         came = line.came
         for _ in came(0):
@@ -405,10 +476,6 @@ class Link:
         read, one, message = line.read, line.one, self.message
         used = min(self.used, LONGEST - AT_ONCE)  # what is longer is none
         for _ in range(AT_ONCE):
-            for _ in came(0):
-                break
-            else:
-                break
             if not read(one):
                 break
             byte = one[0]
@@ -422,7 +489,13 @@ class Link:
                         self.damaged += 1
                 except Exception:  # what is no message of this version
                     self.damaged += 1
-                return
+                used = 0
+                if self.loop._ms - self.host._ms <= SILENCE_MS:
+                    return
+            for _ in came(0):
+                break
+            else:
+                break
         self.used = used
 
     def _obey(self, used: int) -> bool:
@@ -443,22 +516,32 @@ class Link:
             return False
         kind = message[1]
         if kind == 119 and self.version == VERSION:  # w
-            at = 2
+            at, now = 2, self.loop._ms
+            alone = now - self.host._ms > SILENCE_MS
+            self.came = now
             while at < end:
-                order = self.orders[message[at]]
+                place = message[at]
+                order = self.orders[place & 31]
                 value, at = unpacked(message, at + 1)
                 if at > end:
                     return False  # it says more than it has
                 if isinstance(value, tuple):
-                    value = _like(self.loop.outputs[order.target].safe, value)
-                order.command = value
-                order.ends = self.loop._ms + order.good_ms
-                if self.ends < 0 or order.good_ms < self.ends - self.loop._ms & _MASK:
-                    self.ends = order.ends
-        elif kind == 104 and end == 4:  # h
+                    kind = order.output.type
+                    if kind is not tuple:
+                        value = kind(*value)
+                order.place, order.came = place, now
+                order.command = None if alone else value
+                if not alone:
+                    good = order.good_ms
+                    order.ends = now + good
+                    if self.ends < 0 or good < self.ends - now & _MASK:
+                        self.ends = order.ends
+        elif kind == 104 and end >= 4:  # h
             self.version = message[2]
             if self.version == VERSION:
-                self._beaten(message[3])
+                if end != 6:
+                    return False
+                self._beaten(message[3], message[4] | message[5] << 8)
         elif kind == 113 or kind == 81:  # q, or Q of version 1
             take_ctrl_c(3)
             raise KeyboardInterrupt  # it ends as by Ctrl-C, with safe commands
@@ -472,23 +555,29 @@ class Link:
             return False
         return True
 
-    def _beaten(self, flags: int) -> None:
-        self.host.value = self.host.value + 1 & 0xFFFF
-        self.host._ms = self.loop._ms
-        if flags & 1:
-            self.beats = 9
-            names = ",".join([each.name for each in self.sensors])
-            names += ";" + ",".join([each.target for each in self.orders])
-            self.answer = (
-                b"n" + struct.pack("<II", self.loop.every, self.free) + names.encode()
-            )
-        if self.arms and flags & 6 and self.loop.armed != bool(flags & 2):
+    def _beaten(self, flags: int, answered: int) -> None:
+        now, host = self.loop._ms, self.host
+        age = ((now >> 4) - answered & 0xFFFF) << 4  # in steps of 16 ms
+        if age <= SILENCE_MS:
+            if now - host._ms > SILENCE_MS:
+                for order in self.orders:  # it was gone: what it wanted then is old
+                    order.command = None
+            host.value = host.value + 1 & 0xFFFF
+            host._ms = now - age
+            if flags & 1:
+                self._name()
+        elif not flags & 4:
+            return
+        if flags & 6 and self.arms and self.loop.armed != bool(flags & 2):
             self.loop.arm(bool(flags & 2))
 
-
-def _like(safe: "Any", values: "tuple[Any, ...]") -> "Any":
-    """Return a row of the wire as the tuple that an actuator takes."""
-    return values if type(safe) is tuple else type(safe)(*values)
+    def _name(self) -> None:
+        self.beats = 9
+        names = ",".join([each.name for each in self.sensors])
+        names += ";" + ",".join([each.target for each in self.orders])
+        self.answer = (
+            b"n" + struct.pack("<II", self.loop.every, self.free) + names.encode()
+        )
 
 
 def _free() -> int:

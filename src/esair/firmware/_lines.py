@@ -8,7 +8,7 @@ from typing import Any, Self
 import serial
 
 from esair.buses.serial import explain, find_port
-from esair.drivers.board.wire import Beat, BoardState, Wire, refusal, unstuffed
+from esair.drivers.board.wire import READ, Beat, BoardState, Wire, refusal, unstuffed
 from esair.exceptions import ConfigError, EsairError
 
 BAUDRATE = 115200
@@ -28,7 +28,7 @@ class Lines:
         self._place = place
         self._port: Any = None
         self._waiting = b""
-        self._wire = Wire()
+        self._wire = Wire(READ)
         self.beat: BoardState | None = None
         """How a linked board was at its last one."""
 

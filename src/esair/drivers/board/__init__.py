@@ -27,8 +27,9 @@ That stands for these tables::
     bus = "base"
     safe = [0.0, 0.0]
 
-Both sides send beats. When this computer's stay away, whatever it moved is safe on the
-board at once; when the board's do, its sensors and actuators are lost here.
+The board beats, and this computer answers each beat. When the answers stay away, whatever
+it moved is safe on the board at once, and what comes late moves nothing; when the beats
+do, its sensors and actuators are lost here. The board tells what it did with a command.
 
 Source: `esair.boards.link`, which the board runs.
 """
@@ -42,11 +43,11 @@ import logging
 from collections.abc import AsyncIterator
 from typing import Any, Unpack
 
-from esair.boards.link import AT_ONCE, BEAT_MS, VERSION
+from esair.boards.link import AT_ONCE, VERSION
 from esair.buses import Inbox, SerialBus
 from esair.drivers._on_bus import SharedTask, shared
 from esair.drivers.board.wire import (
-    SPOKEN,
+    Answer,
     Beat,
     BoardState,
     Heard,
@@ -55,7 +56,8 @@ from esair.drivers.board.wire import (
     tuples,
 )
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
-from esair.loop import REACHED
+from esair.loop import clock_of
+from esair.messages import Refused
 from esair.resources import Actuator, ActuatorSettings, Sensor, SensorSettings
 
 __all__ = ["Board", "BoardActuator", "BoardSensor", "BoardState"]
@@ -68,6 +70,9 @@ SILENCE = 0.5
 _ASK_AGAIN = 1.0
 """The board is asked again for its readings, so often: a message may be lost."""
 
+_PATIENCE = 0.15
+"""An answer takes a few steps of the board, and so long on the line, in seconds."""
+
 _RESTARTED = -2
 """The time of a board that has gone back: it forgot what it was told."""
 
@@ -75,7 +80,7 @@ _RESTARTED = -2
 class _Beats(SharedTask):
     """What all devices of one board share: a task of a bus that is open.
 
-    It sends the beats, asks for the readings, and hands on what the board says.
+    It answers the beats, asks for the readings, and hands on what the board says.
     """
 
     @classmethod
@@ -97,6 +102,8 @@ class _Beats(SharedTask):
         self._sending = asyncio.Lock()
         self._waiting: dict[str, bytes] = {}
         """The newest command of each actuator that was not sent yet, the oldest first."""
+        self._asked: dict[str, asyncio.Future[Answer]] = {}
+        """Who waits for what came of the newest command of an actuator."""
         self.armed: bool | None = None
         """What the board is told; None to leave it as it is."""
         self.rates: dict[str, float] = {}
@@ -119,7 +126,7 @@ class _Beats(SharedTask):
         except BaseException:
             await self.leave(user)
             raise
-        if self.wire.version not in SPOKEN:
+        if self.wire.version != VERSION:
             await self.leave(user)
             raise DeviceFaultError(name, refusal(self.wire.version))
 
@@ -133,34 +140,39 @@ class _Beats(SharedTask):
 
     async def _run(self, bus: SerialBus) -> None:
         loop = asyncio.get_running_loop()
+        asks = loop.time()
         with bus.frames() as inbox:
-            due = asks = loop.time()
-            while True:
-                if loop.time() >= due - REACHED:
-                    due = loop.time() + BEAT_MS / 1000
-                    for message in self.wire.beat(self.armed):
-                        await self._send(bus, message)
-                    if self.wire.named and loop.time() >= asks:
-                        asks = loop.time() + _ASK_AGAIN
-                        for message in self.wire.rates(self.rates):
-                            await self._send(bus, message)
-                try:
-                    frame = await inbox.take(timeout=max(0.0, due - loop.time()))
-                except TimeoutError:
-                    continue
+            async for frame in inbox:
                 for said in self.wire.read(frame):
                     if isinstance(said, Heard):
                         self._hand_on(said.name, said)
+                    elif isinstance(said, Answer):
+                        self._answered(said)
                     elif self._beaten(said, loop.time()):
                         return
+                if not self.wire.owes:
+                    continue
+                for message in self.wire.beat(self.armed):
+                    await self._send(bus, message)
+                if self.wire.named and loop.time() >= asks:
+                    asks = loop.time() + _ASK_AGAIN
+                    for message in self.wire.rates(self.rates):
+                        await self._send(bus, message)
 
-    async def command(self, bus: SerialBus, name: str, command: object) -> None:
-        """Send a command, in one message with the others that wait for the next step."""
+    async def command(
+        self, bus: SerialBus, name: str, command: object
+    ) -> Answer | None:
+        """Send a command, in one message with the others that wait for the next step.
+
+        Returns:
+            What the board has answered; None if it says nothing.
+        """
         wire, waiting = self.wire, self._waiting
         mine = wire.command(name, command)
         if mine is None:
             raise DeviceFaultError(name, "the board has no actuator of this name")
         waiting[name] = mine
+        answer = self._asked[name] = asyncio.get_running_loop().create_future()
         try:
             async with self._sending:
                 while waiting.get(name) is mine:  # it did not go with another
@@ -173,9 +185,22 @@ class _Beats(SharedTask):
                     for each, what in sent:
                         if waiting.get(each) is what:
                             del waiting[each]
+            async with asyncio.timeout(_PATIENCE + 5 * wire.period):
+                said: Answer = await answer
+                return said
+        except TimeoutError:
+            return None
         finally:
             if waiting.get(name) is mine:
                 del waiting[name]
+            if self._asked.get(name) is answer:
+                del self._asked[name]
+
+    def _answered(self, said: Answer) -> None:
+        answer = self._asked.get(said.name)
+        is_newest = self.wire.numbers.get(said.name) == said.number
+        if answer and not answer.done() and is_newest:
+            answer.set_result(said)
 
     async def _send(self, bus: SerialBus, message: bytes) -> None:
         async with self._sending:
@@ -355,15 +380,40 @@ class BoardActuator(_OnBoard, Actuator[Any]):
         _Beats.of(self.bus).check(self.name)
         return True
 
-    async def write(self, command: Any) -> None:
-        """Send a command; the board's own reactions may outrank it.
+    async def open(self) -> None:
+        """Wait until the board beats."""
+        self.refused: Refused | None = None
+        """What the board has answered last, if that was a refusal."""
+        await super().open()
+
+    async def write(self, command: Any) -> Any:
+        """Send a command, and wait for what the board did with it in its next step.
+
+        Returns:
+            What its guards have let pass; or a refusal with the reaction of the board
+            that holds it, or what else is in the way.
 
         Raises:
-            DeviceLostError: The board is silent.
+            DeviceLostError: The board is silent, or does not answer a safe command.
         """
-        beats = _Beats.of(self.bus)
-        beats.check(self.name)
-        await beats.command(self.bus, self.name, command)
+        beats, name = _Beats.of(self.bus), self.name
+        for _ in range(2 if command == self.safe else 1):  # what is safe may come twice
+            beats.check(name)
+            said = await beats.command(self.bus, name, command)
+            if said is not None:
+                self.refused = self._refusal(said.who, said.reason)
+                return said.done if self.refused is None else self.refused
+        beats.check(name)
+        if command == self.safe:
+            raise DeviceLostError(name, "the board does not answer")
+        told = "the board does not answer: what came of it is unknown"
+        self.refused = self._refusal("", told)
+        return self.refused
+
+    def _refusal(self, who: str, reason: str) -> Refused | None:
+        holder = f"{self.bus.name}:{who}" if who else self.bus.name
+        now = clock_of(asyncio.get_running_loop())()
+        return Refused(holder, 0, reason, now, None) if reason else None
 
 
 def _listening(bus: SerialBus, name: str) -> Inbox[Any]:

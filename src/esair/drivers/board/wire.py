@@ -1,7 +1,7 @@
 """What goes over the line between a board and a computer; pure, without any I/O.
 
-The last two versions of the link are spoken: 3, and 2, which has one command and one rate
-in a message, and all counts in each beat. What a board speaks, its first beat says.
+What a board speaks, its first beat says. The version before is understood, for who
+watches a board, and nothing is told to it: it takes what is old for new.
 """
 
 from __future__ import annotations
@@ -17,11 +17,22 @@ import attrs
 from esair.boards.link import DAY_MS, VERSION, packed, unpacked
 from esair.boards.start import CAUSES
 
-SPOKEN: Final = (2, VERSION)
-"""The versions of the link that this computer speaks."""
+READ: Final = (3, VERSION)
+"""The versions of the link that this computer understands."""
 
 _BEAT: Final = struct.Struct("<BBBBHI")
 _COUNTS: Final = struct.Struct("<IIIHH")
+_REASONS: Final = {
+    "h": "it holds it",
+    "b": "it is blind",
+    "g": "it lets nothing pass",
+    "n": "the board is not armed",
+    "l": "it came too late",
+    "x": "the board takes no such command",
+    "f": "it failed on the board",
+}
+"""What a board says of a command that was not done, by letter."""
+
 _ROOM: Final = 48
 """Bytes of a message at most, unless one command is longer: a step reads them one by one."""
 
@@ -78,11 +89,27 @@ class Heard:
     gone: bool = False
 
 
+@attrs.frozen
+class Answer:
+    """What came of a command: ``reason`` if it was not done, and ``who`` is against it.
+
+    Attributes:
+        name: The actuator.
+        number: That of the command, as `Wire.command` has counted it.
+        done: What was done of it; None for all.
+    """
+
+    name: str
+    number: int
+    reason: str = ""
+    who: str = ""
+    done: Any = None
+
+
 def refusal(version: int) -> str:
     """Say that a board speaks another version."""
-    spoken = " and ".join(map(str, SPOKEN))
     return (
-        f"the board speaks version {version} of the link, this computer {spoken}: "
+        f"the board speaks version {version} of the link, this computer {VERSION}: "
         "build and deploy it anew"
     )
 
@@ -128,61 +155,74 @@ def signed(payload: bytes) -> bytes:
 class Wire:
     """One board, as its messages tell it.
 
+    Args:
+        read: The versions that are understood.
+
     Attributes:
         version: What it speaks; 0 before its first beat.
         named: Whether its sensors and actuators are known by name.
         period: How long its steps are, in seconds: it takes one message in each.
             Known with the names.
+        sensors: The names of its sensors.
+        owes: Whether its last beat has no answer yet.
+        numbers: Of the last command of each actuator.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, read: tuple[int, ...] = (VERSION,)) -> None:
+        self._read = read
         self.version: Any = 0
         self.named: bool = False
         self.period: float = 1.0
         self._free = 0
         self._counts: tuple[int, ...] = ()
-        self._sensors: list[str] = []
+        self.owes: bool = False
+        self.numbers: dict[str, int] = {}
+        self._newest = 0
+        self.sensors: list[str] = []
         self._actuators: list[str] = []
         self._seen: dict[str, None] = {}
         self._fault = ""
         self._form = "f"
 
-    def read(self, message: bytes) -> list[Beat | Heard]:
+    def read(self, message: bytes) -> list[Beat | Heard | Answer]:
         """Return what a message with its checksum says; nothing if it is damaged."""
         payload = message[:-4]
         return self.said(payload) if message == signed(payload) else []
 
-    def said(self, payload: bytes) -> list[Beat | Heard]:
+    def said(self, payload: bytes) -> list[Beat | Heard | Answer]:
         """Return what a message says, whose checksum is right and gone."""
         try:
             return self._said(payload)
         except (ValueError, TypeError, LookupError, struct.error):
             return []  # it is of another version, or none of ours
 
-    def _said(self, payload: bytes) -> list[Beat | Heard]:
+    def _said(self, payload: bytes) -> list[Beat | Heard | Answer]:
         kind = payload[:1]
         if kind == b"B":  # of version 1, or for a computer that speaks only that
             self.version = int(json.loads(payload[2:].decode())[0])
-            return [Beat(self.version, None)] * (self.version not in SPOKEN)
+            return [Beat(self.version, None)] * (self.version not in self._read)
         if kind == b"b":
             beat = self._beat(payload)
             return [beat] * (beat.state is None or bool(self._counts))
-        if kind == b"n" and self.version in SPOKEN:
+        if kind == b"n" and self.version in self._read:
             rate, self._free = struct.unpack_from("<II", payload, 1)
             self.period = 1000 / rate
             sensors, _, actuators = payload[9:].decode().partition(";")
-            self._sensors = sensors.split(",")
+            self.sensors = sensors.split(",")
             self._actuators = actuators.split(",")
             self.named = True
         elif kind == b"s" and self.named:
             return self._readings(payload)
+        elif kind == b"a" and self.named:
+            return self._answers(payload)
         return []
 
     def _beat(self, payload: bytes) -> Beat:
-        if payload[1] not in SPOKEN:
+        if payload[1] not in self._read:
             self.version = payload[1]
             return Beat(self.version, None)
         _, self.version, flags, cause, days, now = _BEAT.unpack_from(payload)
+        self.owes, self._newest = self.version == VERSION, now
         if len(payload) > _BEAT.size:
             self._counts = _COUNTS.unpack_from(payload, _BEAT.size)
             text = payload[_BEAT.size + _COUNTS.size :].decode("utf-8", "replace")
@@ -206,11 +246,26 @@ class Wire:
         )
         return Beat(self.version, state)
 
-    def _readings(self, payload: bytes) -> list[Beat | Heard]:
-        found: list[Beat | Heard] = []
+    def _answers(self, payload: bytes) -> list[Beat | Heard | Answer]:
+        found: list[Beat | Heard | Answer] = []
         at = 1
         while at < len(payload):
-            name = self._sensors[payload[at]]
+            name, number = self._actuators[payload[at] & 31], payload[at] >> 5
+            how, at = chr(payload[at + 1]), at + 2
+            who = done = None
+            if how == "w":
+                done, at = unpacked(payload, at)
+            elif how in "hbg":
+                who, at = unpacked(payload, at)
+            reason = "" if how in "Tw" else _REASONS[how]
+            found.append(Answer(name, number, reason, str(who or ""), tuples(done)))
+        return found if at == len(payload) else []
+
+    def _readings(self, payload: bytes) -> list[Beat | Heard | Answer]:
+        found: list[Beat | Heard | Answer] = []
+        at = 1
+        while at < len(payload):
+            name = self.sensors[payload[at]]
             if payload[at + 1] == ord("x"):
                 found.append(self._reading(name, gone=True))
                 at += 2
@@ -227,24 +282,26 @@ class Wire:
         return Heard(name, tuples(value), gone)
 
     def beat(self, armed: bool | None) -> list[bytes]:
-        """Return the messages of a beat that this computer sends, to arm or not."""
-        if self.version not in SPOKEN:
+        """Return the messages that answer the last beat of the board, to arm it or not."""
+        if self.version != VERSION:
             return []
+        self.owes = False
         flags = (not self.named) + (0 if armed is None else 2 if armed else 4)
-        return [signed(bytes([ord("h"), self.version, flags]))]
+        time = self._newest >> 4 & 0xFFFF
+        return [signed(struct.pack("<BBBH", ord("h"), VERSION, flags, time))]
 
     def rates(self, asked: Mapping[str, float]) -> list[bytes]:
         """Return the messages that ask for sensors, each at a rate in Hz."""
         wanted = b"".join(
             struct.pack(
                 "<BH",
-                self._sensors.index(name),
+                self.sensors.index(name),
                 min(65535, max(1, int(1000 / rate))),
             )
             for name, rate in asked.items()
-            if self.named and name in self._sensors
+            if self.named and name in self.sensors
         )
-        size = 3 if self.version == 2 else _ROOM // 3 * 3
+        size = _ROOM // 3 * 3
         return [
             signed(b"r" + wanted[at : at + size]) for at in range(0, len(wanted), size)
         ]
@@ -254,7 +311,8 @@ class Wire:
         if name not in self._actuators:
             return None
         buffer = bytearray(len(repr(value)) * 9 + 16)
-        buffer[0] = self._actuators.index(name)
+        self.numbers[name] = number = self.numbers.get(name, 0) + 1 & 7
+        buffer[0] = self._actuators.index(name) | number << 5
         end = packed(buffer, 1, value, self._form)
         return bytes(buffer[:end])
 
@@ -262,7 +320,7 @@ class Wire:
         """Return the message of the first commands that wait, and whose they are."""
         data, names = b"w", list[str]()
         for name, command in waiting.items():
-            if names and (self.version == 2 or len(data) + len(command) > _ROOM):
+            if names and len(data) + len(command) > _ROOM:
                 break
             data += command
             names.append(name)
