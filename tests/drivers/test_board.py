@@ -83,3 +83,22 @@ async def test_an_actuator_misses_its_board_though_nobody_writes(
             line.stall()
         await asyncio.sleep(4.0)
         assert robot.resources.query("wheels").losses == 1
+
+
+async def test_what_the_board_has_not_is_told_for_a_sensor_as_for_an_actuator(
+    fake_serial: Callable[..., FakeSerial],
+) -> None:
+    """It was built from an older file: nobody waits for a reading that never comes."""
+    line = beating(fake_serial("base", framing="cobs"), 5)
+    parts = [
+        BoardSensor(name="battery", bus=line),
+        BoardActuator(name="lamp", bus=line, safe=False),
+        BoardSensor(name="light", bus=line),
+    ]
+
+    async with esair.Robot(resources=parts) as robot:
+        await asyncio.sleep(1.0)
+        for name, kind in (("battery", "sensor"), ("lamp", "actuator")):
+            error = str(robot.resources.query(name).error)
+            assert f"the board has no {kind} of this name: build and deploy" in error
+        assert robot.resources.query("light").state is ResourceState.READY

@@ -73,6 +73,8 @@ _ASK_AGAIN = 1.0
 _PATIENCE = 0.15
 """An answer takes a few steps of the board, and so long on the line, in seconds."""
 
+_MISSING = "the board has no {} of this name: build and deploy it anew"
+
 _RESTARTED = -2
 """The time of a board that has gone back: it forgot what it was told."""
 
@@ -170,7 +172,7 @@ class _Beats(SharedTask):
         wire, waiting = self.wire, self._waiting
         mine = wire.command(name, command)
         if mine is None:
-            raise DeviceFaultError(name, "the board has no actuator of this name")
+            raise DeviceFaultError(name, _MISSING.format("actuator"))
         waiting[name] = mine
         answer = self._asked[name] = asyncio.get_running_loop().create_future()
         try:
@@ -326,10 +328,17 @@ class BoardSensor(_OnBoard, Sensor[Any]):
         self._inbox: Inbox[Heard] | None = None
 
     async def open(self) -> None:
-        """Wait until the board beats, ask for the readings, and listen from now on."""
+        """Wait until the board beats, ask for the readings, and listen from now on.
+
+        Raises:
+            DeviceFaultError: The board has no such sensor.
+        """
         beats = _Beats.of(self.bus)
         beats.rates[self.name] = self.link_rate
         await super().open()
+        if self.name not in beats.wire.sensors:
+            await self.close()
+            raise DeviceFaultError(self.name, _MISSING.format("sensor"))
         self._inbox = _listening(self.bus, self.name)  # beyond an error of the stream
 
     async def close(self) -> None:
