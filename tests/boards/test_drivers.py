@@ -1,17 +1,18 @@
 """The drivers for boards, on the stand-in for ``machine``."""
 
-import math
 import sys
 
 import pytest
 
+import esair
 from esair.boards import stand_in
 from esair.boards.analog import AnalogIn
 from esair.boards.digital import DigitalIn, DigitalOut
 from esair.boards.i2c_register import I2CRegister
 from esair.boards.servo import PwmServo
 from esair.boards.ultrasonic import UltrasonicRange
-from esair.minimal import Loop, Reaction, reads, writes
+from esair.minimal import Actuator, Loop, Reaction, reads, writes
+from esair.testing import FakeActuator
 
 
 @pytest.fixture(autouse=True)
@@ -122,24 +123,59 @@ def test_an_analog_input_gives_volts(machine) -> None:
 
 
 def test_an_echo_is_a_distance(machine) -> None:
-    """The sound goes there and back; out of reach is infinite."""
+    """The sound goes there and back; out of reach is as far as it looks."""
     part = opened(UltrasonicRange(2, 3, reach=2.0))
     machine.echoes[3] = 5831
     assert part.read() == pytest.approx(1.0, abs=1e-3)
 
     machine.echoes[3] = 30000
-    assert part.read() == math.inf
+    assert part.read() == 2.0
     assert machine.outputs[2] == [0, 1, 0, 1, 0]
+
+
+@pytest.mark.virtual_clock
+async def test_an_open_room_blinds_nobody(machine) -> None:
+    """No echo is a reading like any other, in STD and in MIN: who reads it drives on."""
+    machine.echoes[3] = 38000
+    sonar, wheels = (
+        UltrasonicRange(2, 3, name="sonar"),
+        FakeActuator("wheels", safe=0.0),
+    )
+
+    class Cruise(Reaction):
+        sonar = reads(float)
+        wheels = writes(float)
+
+        def react(self, sonar: float) -> float:
+            return min(sonar, 1.0)
+
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Cruise()]) as robot:
+        await wheels.until(1.0, timeout=1.0)
+        assert robot.resources.query("sonar").faults == 0
+
+    class Motor(Actuator):
+        safe = 0.0
+        told = ()
+
+        def write(self, command: float) -> None:
+            self.told += (command,)
+
+    motor = Motor(name="wheels")
+    sonar = UltrasonicRange(2, 3, name="sonar")
+    loop = Loop([Cruise()], [sonar], [motor])
+    loop.step()
+    assert motor.told[-1] == 1.0
+    assert loop.faults == 0
 
 
 def test_an_old_pulse_is_not_taken_for_a_short_one(machine) -> None:
     """Without an echo the pin stays high for a while; nothing is measured meanwhile."""
     part = opened(UltrasonicRange(2, 3, reach=2.0))
     machine.echoes[3] = 38000
-    assert part.read() == math.inf
+    assert part.read() == 2.0
     machine.inputs[3] = 1
     machine.echoes[3] = 1000  # what is left of the pulse
-    assert part.read() == math.inf
+    assert part.read() == 2.0
     assert machine.outputs[2] == [0, 1, 0]  # it was not triggered again
 
     with pytest.raises(OSError, match="the echo pin is high"):

@@ -7,7 +7,7 @@ class UltrasonicRange(Sensor):
     """The way to the next thing, in metres.
 
     Reading blocks until the echo is back: 6 ms for a metre, at most the time for
-    ``reach``. No echo is no error: it gives infinity, as nothing is in reach. Then the
+    ``reach``. No echo is no error: it gives ``reach``, as nothing is nearer. Then the
     part holds its echo pin for 40 ms and more, in which it cannot measure: read it
     20 times a second at most.
 
@@ -15,7 +15,7 @@ class UltrasonicRange(Sensor):
         trigger: The pin that starts a measurement.
         echo: The pin that is high as long as the sound is under way. It gives 5 V: a
             board for 3.3 V needs a divider.
-        reach: How far it looks, in metres.
+        reach: How far it looks, in metres: the most that it gives.
         name: The name of the sensor.
     """
 
@@ -32,6 +32,7 @@ class UltrasonicRange(Sensor):
         Sensor.__init__(self, name)
         self.trigger = trigger
         self.echo = echo
+        self.reach: float = float(reach)
         self.timeout_us: int = int(2 * reach / self.SPEED * 1000000)
         self._silent = False
 
@@ -57,7 +58,7 @@ class UltrasonicRange(Sensor):
             if not self._silent:
                 raise OSError("the echo pin is high: is it stuck, or read too often?")
             self._silent = False
-            return float("inf")
+            return self.reach
         self._trigger(1)
         self._sleep_us(10)
         self._trigger(0)
@@ -65,4 +66,4 @@ class UltrasonicRange(Sensor):
         if us == -2:
             raise OSError("no echo pulse began: is it connected?")
         self._silent = us < 0
-        return float("inf") if us < 0 else us * self.SPEED / 2000000
+        return self.reach if us < 0 else us * self.SPEED / 2000000
