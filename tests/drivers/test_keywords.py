@@ -15,6 +15,7 @@ import esair.buses
 import esair.drivers
 from esair.config._components import accepted_by
 from esair.drivers.ads1115 import Ads1115
+from esair.drivers.line import LineActuator
 from esair.exceptions import BadValueError
 from esair.resources import (
     ActuatorSettings,
@@ -134,4 +135,19 @@ def test_a_wrong_keyword_is_told_with_the_nearest_right_one() -> None:
     assert str(told.value) == (
         "ads1115: adress: there is no such setting; did you mean 'address'?; "
         "rat: there is no such setting; did you mean 'rate'?"
+    )
+
+
+@pytest.mark.promise("RS-8")
+@pytest.mark.parametrize("word", ["command_timeout", "slew", "deadline"])
+def test_what_a_class_says_of_itself_is_no_keyword_and_how_it_is_given_is_told(
+    word: str,
+) -> None:
+    """And nobody is sent to another word, which means that the device stops by itself."""
+    with pytest.raises(BadValueError) as caught:
+        LineActuator(name="pump", safe=0.0, **{word: 1.0})  # type: ignore[arg-type]
+
+    assert str(caught.value) == (
+        f"pump: {word}: there is no such setting; it is an attribute: "
+        f"pump.{word} = ... after it was made, or in a subclass"
     )

@@ -184,6 +184,9 @@ def check_settings(
     for name, value in changes.items():
         if name not in known:
             hint = did_you_mean(name, [*known, *keywords]) or f"; {there}"
+            if keywords and _is_declared(type(resource), name):
+                told = f"it is an attribute: {resource.name}.{name} = ..."
+                hint = f"; {told} after it was made, or in a subclass"
             mistakes[name] = f"there is no such setting{hint}"
             continue
         try:
@@ -193,6 +196,13 @@ def check_settings(
     if mistakes:
         raise _refusal(resource.name, "", mistakes)
     return checked
+
+
+def _is_declared(cls: type, name: str) -> bool:
+    """Tell whether it is an attribute that a class says something about itself with."""
+    return not name.startswith("_") and any(
+        name in vars(each).get("__annotations__", ()) for each in cls.__mro__
+    )
 
 
 def _refusal(component: str, of: str, mistakes: Mapping[str, str]) -> BadValueError:
