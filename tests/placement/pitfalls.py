@@ -128,6 +128,16 @@ class Looks(esair.Reaction):
         return 0.5
 
 
+class Sees(esair.Behavior):
+    """Answers with a small number what is too large to come to it."""
+
+    camera = esair.reads(Any)
+
+    @esair.answers
+    async def count(self, request: Count) -> int:
+        return len(await self.camera.read())
+
+
 class Eyes(esair.Reaction):
     """Hangs at its sixth reading."""
 

@@ -20,6 +20,7 @@ from tests.placement.pitfalls import (
     Looks,
     Plans,
     Receives,
+    Sees,
     Threads,
     Twice,
 )
@@ -118,6 +119,19 @@ async def test_what_cannot_cross_is_an_error_of_who_sends_it(data: Any) -> None:
 
 
 @pytest.mark.promise("PLC-5")
+async def test_a_reading_that_is_too_large_for_a_process_is_named() -> None:
+    """Not the answer that it was read for; and what helps is said."""
+    camera = FakeSensor("camera", "x" * 1_200_000)
+    sees = placed(Sees(), "process")
+    async with esair.Robot(resources=[camera], behaviors=[sees]) as robot:
+        with pytest.raises(
+            esair.BehaviorFailedError,
+            match=r"sees: camera: between .* placement = 'task'",
+        ):
+            await robot.behaviors.ask(Count(1), sender="user", receiver="sees")
+
+
+@pytest.mark.promise("PLC-5")
 async def test_an_answer_that_cannot_cross_is_an_error_of_who_gives_it() -> None:
     """Its asker is told that it has failed, and why."""
     answers = Answers()
@@ -143,6 +157,7 @@ async def test_a_reading_that_cannot_cross_blinds_and_crashes_nobody() -> None:
         camera.feed(Path("/x"))
         await asyncio.sleep(0.05)
         assert state(robot, "looks") is BehaviorState.PARKED
+        assert "looks: camera: between" in robot.behaviors.query("looks").detail
         assert wheels.commands[-1] == 0.0
         camera.feed(2.0)
         await until(lambda: wheels.commands[-1] == 0.5)

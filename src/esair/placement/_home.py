@@ -27,6 +27,7 @@ from esair.actions import (
     taken,
 )
 from esair.connections import DONE, Halting, Stopped
+from esair.exceptions import BadValueError
 from esair.loop import Budget, Owner, Portal, Stepping, raisable, spawn
 from esair.messages import BehaviorStatus
 from esair.placement._wire import ASKED, AWAITED, CALLED
@@ -252,18 +253,33 @@ class RemotePort:
 
     async def _values(self) -> AsyncGenerator[Any, None]:
         child = self._child
-        number, value = await child.call("values", self._key)
+        with _of(self.resource):
+            number, value = await child.call("values", self._key)
         try:
             while True:
                 yield value
-                value = await child.call("next", number)
+                with _of(self.resource):
+                    value = await child.call("next", number)
         finally:
             child.note("left", number)
 
 
+@contextlib.contextmanager
+def _of(resource: str) -> Iterator[None]:
+    """Let an error that an answer does not fit say whose answer it is."""
+    try:
+        yield
+    except BadValueError as error:
+        if error.field != "answer":
+            raise
+        told = str(error).partition(" answer: ")[2]
+        raise BadValueError(error.component, resource, told) from None
+
+
 def _awaited(name: str) -> Any:
     async def call(self: RemotePort, *args: Any, **options: Any) -> Any:
-        return await self._child.call(f"{name} {self._key}", *args, **options)
+        with _of(self.resource):
+            return await self._child.call(f"{name} {self._key}", *args, **options)
 
     return call
 

@@ -407,7 +407,14 @@ class PlacedRunner(ReactionRunner):
         try:
             self._seat.decide(step, self._answered)
         except BadValueError as error:  # a reading is no plain data: the next may be
-            self._is_blind(str(error))
+            told = str(error)
+            for name, value in senses.by_name().items():
+                try:
+                    self._seat.pack(name, value)
+                except BadValueError as unfit:
+                    told = str(unfit)
+                    break
+            self._is_blind(told)
             return
         except Exception as error:
             self.crash(error)

@@ -89,6 +89,11 @@ class StepSeat:
     def is_over(self) -> bool:
         return self._over
 
+    def pack(self, verb: str, value: Any) -> bytes:
+        """Return a value as it crosses."""
+        found: bytes = self._seat.pack(verb, value)
+        return found
+
     def decide(self, step: tuple[Any, ...], end: End) -> None:
         """Have the child decide."""
 

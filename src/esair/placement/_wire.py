@@ -207,7 +207,8 @@ def packed(name: str, kinds: Kinds, verb: str, value: Any) -> bytes:
     try:
         return encode(value, kinds)
     except CodecError as error:
-        raise BadValueError(name, verb, f"between processes {error}") from None
+        told = f"between processes {error}; placement = 'task' has no such bound"
+        raise BadValueError(name, verb, told) from None
 
 
 class Exchange:
