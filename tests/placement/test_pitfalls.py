@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -211,6 +213,28 @@ async def test_a_dead_process_is_not_waited_for() -> None:
         began = loop.time()
         await robot.behaviors.remove("dies")
         assert loop.time() - began < 0.2
+
+
+@pytest.mark.promise("PLC-3", "BS-10")
+async def test_whose_process_dies_while_it_answers_is_told_of_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Its asker waited, and has heard of it in time; the log has the crash alone."""
+    sees = placed(Sees(), "process")
+    camera = FakeSensor("camera", "picture")
+    async with esair.Robot(resources=[camera], behaviors=[sees]) as robot:
+        await until(lambda: state(robot, "sees") is BehaviorState.RUNNING)
+        camera.stall()
+        asked = robot.behaviors.ask(Count(1), sender="user", receiver="sees")
+        asking = asyncio.ensure_future(asked)
+        await asyncio.sleep(0.05)
+        pid = robot.behaviors.query("sees").pid
+        assert pid is not None
+        os.kill(pid, signal.SIGKILL)
+        with pytest.raises(esair.BehaviorFailedError, match="SIGKILL"):
+            await asking
+        await asyncio.sleep(0.05)
+    assert "nobody waited" not in caplog.text
 
 
 @pytest.mark.real_clock

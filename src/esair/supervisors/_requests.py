@@ -28,6 +28,7 @@ from esair.exceptions import (
     CircularRequestError,
     EsairError,
     OutcomeUnknownError,
+    ProcessDiedError,
     RefusedError,
     describe,
 )
@@ -582,7 +583,8 @@ class Order(Request):
         elif isinstance(error, RefusedError) and not error.behavior:
             self.refuse(error.reason)
         else:
-            if self.over and not isinstance(error, asyncio.CancelledError):
+            told = asyncio.CancelledError | ProcessDiedError  # by its end, its crash
+            if self.over and not isinstance(error, told):
                 _log.warning(
                     "%s: %s failed when nobody waited any more: %s",
                     self.peer,
