@@ -171,7 +171,7 @@ def test_two_ports_for_one_actuator_are_refused() -> None:
     """A board has one decision of each reaction for an actuator."""
 
     class Twice(rules.Go):
-        also = minimal.writes(float, name="motor")
+        also = minimal.writes(float, name="motor", priority=3)
 
     text = found_in([Twice()], [rules.Sonar(1)], [rules.Motor()])
     assert "motor has another port already" in text
