@@ -344,6 +344,8 @@ class _Port:
                 passed = reaction.react(**task.values)
             elif not self.latch:
                 passed = reaction.blind(command)
+            elif not output.writer or output.last == output.safe:
+                return None
             if passed is not None and passed is not command:
                 passed = output.checked(passed)
                 if passed != _less(passed, command, output.safe):
@@ -352,7 +354,7 @@ class _Port:
             output.loop.note(task.name, error)
             passed = None
         if passed is None:
-            self.shut = self.latch and not (task.blind and output.writer is None)
+            self.shut = self.latch
         return passed
 
 

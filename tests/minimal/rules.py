@@ -737,6 +737,24 @@ def rule_a_latching_guard_waits_for_its_first_sight():
     assert motor.told == [0.0, 1, 1, 1, 0.0], motor.told
 
 
+def rule_a_latching_guard_that_is_blind_while_safe_is_written_waits():
+    """A writer that writes what is safe moves nothing."""
+
+    class Latches(Bumper):
+        motor = guards(float, latch=True)
+
+    class Later(Reaction):
+        rate = 50
+        motor = writes(float)
+
+        def react(self):
+            return 1.0 if self.now_ms >= 100 else 0.0
+
+    values = [0] + [OSError(5)] * 4 + [0]
+    _, motor = blind_world(values, [Latches(), Later()], 9)
+    assert 1.0 in motor.told, motor.told
+
+
 def rule_a_reading_that_is_no_number_never_reaches_a_reaction():
     """NaN is not less than anything: a reaction would take it for "nothing is near"."""
 

@@ -211,7 +211,8 @@ static bool es_passes(es_guard *g)
     } else if (!g->latch && g->blind != NULL) {
         if (!es_try(g->blind, g->task->part)) es_passed = false;
     }
-    if (!es_passed) g->latched = g->latch && !(g->task->blind && g->output->writer == NULL);
+    bool still = g->output->writer == NULL || g->output->rests;
+    if (!es_passed) g->latched = g->latch && !(g->task->blind && still);
     return es_passed;
 }
 
