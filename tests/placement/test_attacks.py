@@ -71,18 +71,19 @@ def children_of(pid: int) -> list[int]:
 def test_nothing_outlives_the_robot(
     tmp_path: Path, how: signal.Signals, busy: bool
 ) -> None:
-    """Whatever ends the robot's process ends its children, also one that computes."""
+    """Whatever ends the robot's process ends its children, and what they have begun."""
     script = tmp_path / "robot_of_children.py"
     script.write_text(
         textwrap.dedent(
             f"""
-            import time
+            import subprocess
             import esair
 
             class Busy(esair.ThreadBehavior):
                 placement = esair.Placement(stall=60.0)
 
                 def run(self) -> None:
+                    helper = subprocess.Popen(["sleep", "600"])
                     print("begun", flush=True)
                     while {busy}:
                         pass
@@ -106,7 +107,7 @@ def test_nothing_outlives_the_robot(
             if begun == 2:
                 break
         children = children_of(robot.pid)
-        assert len(children) == 3  # the one that makes them, and two
+        assert len(children) == 5  # the one that makes them, and two with a helper
         os.kill(robot.pid, how)
         end = time.monotonic() + 10.0
         while any(lives(pid) for pid in children):

@@ -3,8 +3,9 @@
 `Nursery` is that process as the robot's sees it; `Server` is the program that runs in it. It
 has loaded of esair what the robot's has; it has no thread and no device. Each request comes
 with the descriptors of one child; what becomes of the child is told on the last of them. It
-ends with the process that has started it, and its children end with it: it watches for that,
-and the kernel does.
+watches for the end of the process that has started it, and then ends its children and what
+they have begun. The kernel ends children with it; it does not end it with the robot, as then
+nobody would be left who knows what they have begun.
 """
 
 from __future__ import annotations
@@ -56,15 +57,12 @@ class Nursery:
         mine, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         me = os.pidfd_open(os.getpid())
         try:
-            # The kernel ends it with the thread that has started it: that must last.
-            lasts = threading.current_thread() is threading.main_thread()
-            arguments = (its.fileno(), me, os.getpid(), int(lasts))
             self._process = subprocess.Popen(
                 [
                     sys.executable,
                     "-m",
                     "esair.placement._nursery",
-                    *map(str, arguments),
+                    *map(str, (its.fileno(), me)),
                     *(each for each in sys.modules if each.startswith("esair.")),
                 ],
                 stdin=subprocess.DEVNULL,
@@ -160,15 +158,13 @@ def _die_with_parent(parent: int) -> None:
 
 def main() -> None:
     """Serve until the process that has started this one is gone."""
-    control_fd, parent_fd, parent, dies = map(int, sys.argv[1:5])
-    if dies:
-        _die_with_parent(parent)
+    control_fd, parent_fd = map(int, sys.argv[1:3])
     # Each child has it from the start: what it is made of, and what its module asks for.
     # What the robot's process has loaded too, the module of a component is likely to want.
-    for each in ("esair.placement._child", *sys.argv[5:]):
-        if not each.endswith("__main__"):
+    for module in ("esair.placement._child", *sys.argv[3:]):
+        if not module.endswith("__main__"):
             with contextlib.suppress(ImportError):
-                importlib.import_module(each)
+                importlib.import_module(module)
     gc.collect()
     gc.freeze()  # what is there is never written to: it is one for all
     control = socket.socket(fileno=control_fd)
