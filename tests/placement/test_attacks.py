@@ -115,6 +115,51 @@ def test_nothing_outlives_the_robot(
             time.sleep(0.005)
 
 
+@pytest.mark.promise("PLC-1", "ROB-2")
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP])
+def test_a_stop_that_all_are_told_is_the_robots(
+    tmp_path: Path, how: signal.Signals
+) -> None:
+    """A service manager may tell each process: children end in order all the same."""
+    script = tmp_path / "robot_of_children.py"
+    script.write_text(
+        textwrap.dedent(
+            """
+            import asyncio
+            import esair
+
+            class Rests(esair.Behavior):
+                placement = "process"
+
+                async def run(self) -> None:
+                    print("begun", flush=True)
+                    await asyncio.sleep(600)
+
+                async def teardown(self) -> None:
+                    print("torn down", flush=True)
+
+            if __name__ == "__main__":
+                import logging
+                logging.basicConfig(level=logging.INFO)
+                esair.run(esair.Robot(behaviors=[Rests()]))
+            """
+        ),
+        encoding="utf-8",
+    )
+    with subprocess.Popen(
+        [sys.executable, str(script)], stderr=subprocess.PIPE, text=True
+    ) as robot:
+        assert robot.stderr is not None
+        for line in robot.stderr:
+            if "begun" in line:
+                break
+        for pid in (*children_of(robot.pid), robot.pid):
+            os.kill(pid, how)
+        told = robot.stderr.read()
+    assert "torn down" in told
+    assert "failed" not in told
+
+
 @pytest.mark.long
 @pytest.mark.promise("PLC-1")
 def test_a_script_that_runs_when_it_is_imported_is_told(tmp_path: Path) -> None:

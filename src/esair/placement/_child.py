@@ -102,7 +102,6 @@ def live(end: int) -> int:
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     faulthandler.enable()
     faulthandler.register(signal.SIGUSR1)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.breakpointhook = _no_terminal
     child = Child(Wire(socket.socket(fileno=end)))
     child.loop.run_forever()

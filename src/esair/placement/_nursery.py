@@ -159,6 +159,11 @@ def _die_with_parent(parent: int) -> None:
 def main() -> None:
     """Serve until the process that has started this one is gone."""
     control_fd, parent_fd = map(int, sys.argv[1:3])
+    for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        # The robot's: it stops in order, and ends this. Not ignored: what a component
+        # begins would ignore them, too.
+        signal.signal(each, lambda *_: None)
+        signal.siginterrupt(each, False)
     # Each child has it from the start: what it is made of, and what its module asks for.
     # What the robot's process has loaded too, the module of a component is likely to want.
     for module in ("esair.placement._child", *sys.argv[3:]):
