@@ -18,9 +18,39 @@ from esair.buses.mqtt import FakeMqtt, MqttBus, matches
 from esair.drivers.mqtt import MqttActuator, MqttSensor
 from esair.drivers.mqtt.fake import FakeThing
 from esair.exceptions import BadValueError, DeviceLostError
+from esair.plan import Plan, protection
 from esair.testing import ActuatorContract, SensorContract
 
 pytestmark = pytest.mark.virtual_clock
+
+
+@pytest.mark.promise("PRO-13")
+@pytest.mark.parametrize(
+    ("safe", "dead", "alone"),
+    [
+        (
+            False,
+            "its last will is published at once",
+            "its last will is published after 30 s",
+        ),
+        (
+            "hold",
+            "UNWATCHED: the robot has no watchdog",
+            "it keeps its last command",
+        ),
+    ],
+)
+async def test_a_last_will_is_told_by_check_and_why(
+    safe: Any, dead: str, alone: str
+) -> None:
+    """Who stays where it is has none."""
+    bus = FakeMqtt(keepalive=20)
+    pump = MqttActuator(topic="pump", safe=safe, name="pump", bus=bus)
+    (told,) = protection(Plan(resources=[pump]))
+    assert (told.when_the_process_dies, told.when_the_host_dies) == (dead, alone)
+    async with esair.Robot(resources=[pump]) as robot:
+        end = f"{dead.replace(': ', ', ')}; when this computer dies: {alone}"
+        assert robot.resources.why("pump").dies.endswith(end)
 
 
 class Thing:

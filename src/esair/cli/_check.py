@@ -18,7 +18,7 @@ from esair.cli._errors import counted
 from esair.cli._options import AsJson
 from esair.config import FoundInFile, Report, check_together, tables_of
 from esair.loop import check_priority, refusal
-from esair.plan import UNWATCHED
+from esair.plan import KEEPS_ON, UNWATCHED
 
 _STYLES = {"error": "bold red", "warning": "yellow"}
 
@@ -181,7 +181,7 @@ def _actuators(report: Report) -> Panel:
         told = actuator.when_the_process_dies
         style = "red" if told.startswith(UNWATCHED) else ""
         table.add_row("when this process dies", Text(told, style))
-        style = "red" if actuator.own_timeout is None else ""
+        style = "red" if actuator.when_the_host_dies == KEEPS_ON else ""
         table.add_row(
             "when this computer dies", Text(actuator.when_the_host_dies, style)
         )

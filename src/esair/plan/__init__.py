@@ -24,15 +24,18 @@ from esair.plan._examine import (
 from esair.plan._needs import denial, depths, not_alone, unmet
 from esair.plan._plan import Finding, Plan, Severity, errors_in, refuse
 from esair.plan._protection import (
+    KEEPS_ON,
     UNWATCHED,
     Guard,
     Protection,
     Writer,
     protection,
     when_alone,
+    when_dead,
 )
 
 __all__ = [
+    "KEEPS_ON",
     "SCRIPT",
     "UNWATCHED",
     "Finding",
@@ -59,4 +62,5 @@ __all__ = [
     "unplaceable",
     "used_already",
     "when_alone",
+    "when_dead",
 ]

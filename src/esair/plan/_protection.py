@@ -15,6 +15,7 @@ from esair.values import is_positive
 _IN_DEVICE = "its device decides"  # What is said of a guard that is not of this robot
 
 UNWATCHED = "UNWATCHED"
+KEEPS_ON = "it keeps its last command"
 """What is said of an actuator that no watchdog makes safe."""
 
 _MUTE_LIMIT = Reaction.mute_limit
@@ -112,8 +113,7 @@ def _of(plan: Plan, name: str, actuator: Actuator[object]) -> Protection:
         guards=(*guards, *others),
         sent_by=f"esair: {after}at every exit",
         own_timeout=own,
-        when_the_process_dies=_unwatched(plan, actuator)
-        or "the watchdog sends its safe command",
+        when_the_process_dies=when_dead(actuator, _unwatched(plan, actuator)),
         when_the_host_dies=when_alone(actuator),
     )
 
@@ -123,7 +123,16 @@ def when_alone(actuator: Actuator[Any]) -> str:
     own = actuator.own_timeout
     if is_positive(own):
         return f"it stops itself after {own:g} s"
-    return "it keeps its last command"
+    if actuator.last_will is not None:
+        return f"its last will is published after {actuator.last_will:g} s"
+    return KEEPS_ON
+
+
+def when_dead(actuator: Actuator[Any], unwatched: str) -> str:
+    """Say who makes an actuator safe when this process dies, or why no watchdog does."""
+    if unwatched and actuator.last_will is not None:
+        return "its last will is published at once"
+    return unwatched or "the watchdog sends its safe command"
 
 
 def _unwatched(plan: Plan, actuator: Actuator[Any]) -> str:

@@ -254,6 +254,15 @@ class Actuator(Resource, Generic[T]):
         return None
 
     @property
+    def last_will(self) -> float | None:
+        """After how many seconds of silence a broker sends ``safe`` in its stead.
+
+        At once when the connection breaks. None if there is nobody; ``esair check`` and
+        ``why`` tell it.
+        """
+        return None
+
+    @property
     def value_type(self) -> Any:
         """The type of the commands, from the class or else from ``safe``."""
         declared = value_type(type(self), Actuator)

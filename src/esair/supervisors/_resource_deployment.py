@@ -40,7 +40,7 @@ from esair.messages import (
     ResourceState,
     is_placed,
 )
-from esair.plan import UNWATCHED, Plan, depths, when_alone
+from esair.plan import UNWATCHED, Plan, depths, when_alone, when_dead
 from esair.resources import APPLIED, Actuator, Resource, Sensor
 from esair.supervisors._command_queue import CommandQueue
 from esair.supervisors._control_path import ControlPath, Declared
@@ -183,9 +183,9 @@ class ResourceDeployment:
         """Say what becomes of an actuator when this process dies, or this computer."""
         life = self.life(name)
         assert isinstance(life.resource, Actuator)
-        watch, process = life.device.watch, "the watchdog sends its safe command"
-        if why := "the robot has no watchdog" if watch is None else watch.why:
-            process = f"{UNWATCHED}, {why}"
+        watch = life.device.watch
+        why = "the robot has no watchdog" if watch is None else watch.why
+        process = when_dead(life.resource, why and f"{UNWATCHED}, {why}")
         alone = when_alone(life.resource)
         return f"when this process dies: {process}; when this computer dies: {alone}"
 

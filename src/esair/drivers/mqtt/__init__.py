@@ -287,6 +287,12 @@ class MqttActuator(_OnMqtt, Actuator[Any]):
         self._link: MqttLink | None = None
         self._watching: asyncio.Task[None] | None = None
 
+    @property
+    def last_will(self) -> float | None:
+        """When the broker publishes ``safe``: after one and a half keepalives."""
+        has_one = self.safe is not HOLD and self.bus is not None
+        return 1.5 * self.bus.keepalive if has_one else None
+
     async def open(self) -> None:
         """Connect with the last will, once the device is there if it has to say so."""
         await self._announce()
