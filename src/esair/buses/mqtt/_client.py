@@ -77,7 +77,9 @@ class Client:
         self._watching = spawn(self._loop, self._watch(), name="mqtt watch")
 
     def _leave(self, entering: asyncio.Future[Any]) -> None:
-        entering.cancelled() or entering.exception()
+        if entering.cancelled() or entering.exception() is not None:
+            # It would ask how the connection was made, and raise in the event loop.
+            self._client._client.on_disconnect = None  # noqa: SLF001
         self._shut()
 
     async def _watch(self) -> None:
