@@ -45,7 +45,8 @@ def test_four_files_that_compile(tmp_path, capsys, board, arm) -> None:
         str(each.relative_to(out)) for each in out.rglob("*") if each.is_file()
     )
     assert files == ["main.c", "robot/robot.c", "robot/robot.h", "robot/robot.ino"]
-    assert "20 steps per second" in capsys.readouterr().out
+    kind = {"c": "double", "avr": "float"}[board]
+    assert f"20 steps per second; it counts with {kind}" in capsys.readouterr().out
     program = out / "robot.out"
     sources = [out / "main.c", out / "robot" / "robot.c"]
     subprocess.run([*GCC, *sources, "-o", program, "-lm"], check=True)

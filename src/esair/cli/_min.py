@@ -59,7 +59,8 @@ def build(
         translated = build_c(file, out, target=board, rate=rate, watchdog=bite, arm=arm)
         for name, size in translated.files.items():
             _say(f"{translated.folder / name}: {size} bytes")
-        floats = "counts with floats" if translated.has_floats else "has no floats"
+        kind = "double" if board == "c" else "float"
+        floats = f"counts with {kind}" if translated.has_floats else "has no floats"
         _say(f"{translated.rate:g} steps per second; it {floats}")
         return 0
     built = build_files(
