@@ -707,21 +707,25 @@ class Loop:
             feed: Called after each step: the hook for a hardware watchdog.
         """
         try:
-            self.open()
-            begin = _ticks() & _MASK
-            while steps != 0:
-                self.step()
-                if steps:
-                    steps -= 1
-                if feed:
-                    feed()
-                late = ((_ticks() - begin - self._ms + _LONGEST) & _MASK) - _LONGEST
-                if late > 0:
-                    self.skip(late * self.every // 1000000)
-                else:
-                    _sleep(-late)
+            try:
+                self.open()
+                begin = _ticks() & _MASK
+                while steps != 0:
+                    self.step()
+                    if steps:
+                        steps -= 1
+                    if feed:
+                        feed()
+                    late = ((_ticks() - begin - self._ms + _LONGEST) & _MASK) - _LONGEST
+                    if late > 0:
+                        self.skip(late * self.every // 1000000)
+                    else:
+                        _sleep(-late)
+            finally:
+                self.close()
         finally:
-            self.close()
+            if self._run:  # Ctrl-C has come once more, before that could begin
+                self.close()
 
     def open(self) -> None:
         """Open every device, and give each actuator its safe command.
@@ -731,11 +735,9 @@ class Loop:
         self.last = self.steps + self.late  # the times begin anew
         self.phase = self.said = 0
         for node in self.ages:
-            node._ms = node._days = 0
-        for node in self.inputs.values():
-            node._ms = _NEVER
-        for wired in self.tasks:
-            task = wired[0]
+            node._ms = _NEVER if isinstance(node, _Input) else 0
+            node._days = 0
+        for task, *_ in self.tasks:
             task.reaction.elapsed_ms = -1
             task.blind = True
             task.wake()
@@ -751,19 +753,21 @@ class Loop:
 
     def close(self) -> None:
         """Give each actuator its safe command, three tries each, and close all."""
-        if self._run:
-            del self.step
-        self._run = stop = None
+        stop = None
         outputs = list(self.outputs.values())
         for each in outputs:
             each.bad = True
         for each in outputs * 3 + self.parts:
             try:
                 each.close()
-            except Exception as error:
-                self.note(each.name, error)
-            except BaseException as error:  # Ctrl-C: the safe command first
-                stop = error
+            except BaseException as error:
+                if isinstance(error, Exception):
+                    self.note(each.name, error)
+                else:  # Ctrl-C: the safe command first
+                    stop = error
+        if self._run:
+            self._run = None
+            del self.step
         if stop:
             raise stop
 
@@ -844,7 +848,7 @@ def declared(reaction: "Any") -> "Any":
         needs = getattr(reaction, "needs", needs)  # of STD
     for key in dir(kind):
         need = getattr(kind, key, None)
-        if isinstance(need, Need):
+        if need.__class__ is Need:
             needs[key] = need
     return needs.items()
 

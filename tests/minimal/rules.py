@@ -123,6 +123,29 @@ def rule_ctrl_c_while_it_closes_does_not_cost_the_safe_command():
     assert [motor.state for motor in motors] == ["closed", "closed"]
 
 
+def rule_ctrl_c_that_comes_twice_does_not_cost_the_safe_command():
+    class Twice:
+        def values(self):  # the first lines of `close` ask for them
+            loop.outputs = outputs
+            raise KeyboardInterrupt
+
+    def feed():
+        loop.outputs = Twice()
+        raise KeyboardInterrupt
+
+    motor = Motor()
+    loop = Loop([Go()], [Sonar(0.5)], [motor], rate=1000)
+    outputs = loop.outputs
+    try:
+        loop.run(feed=feed)
+    except KeyboardInterrupt:
+        pass
+    else:
+        raise AssertionError
+    assert motor.told == [0.0, 0.5, 0.0], motor.told
+    assert motor.state == "closed"
+
+
 def rule_a_sensor_that_raises_parks_its_readers_and_not_the_loop():
     loop, motor = told_by([0.5] + [OSError(5)] * 3 + [0.25], 5)
     # After three of its periods the reading is too old.

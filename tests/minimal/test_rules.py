@@ -14,6 +14,7 @@ from tests.minimal.hw.board import Board, why_not
 from esair import minimal
 from esair.actions import adapt_action
 from esair.firmware import mistakes_in
+from esair.minimal import Loop
 from esair.plan import Plan, examine
 from esair.resources import adapt_resource
 
@@ -116,6 +117,42 @@ def test_nothing_is_allocated_in_the_steady_state() -> None:
         tracemalloc.stop()
 
     assert after - before < 256  # the counters themselves; not a byte for each step
+
+
+def interrupted(number: int) -> tuple[bool, list[float]]:
+    """Run two motors with Ctrl-C at a line of MIN; tell if it came, and what they do."""
+    motors = [rules.Motor("motor"), rules.Motor("other")]
+    loop = Loop([rules.Go()], [rules.Sonar(0.5)], motors, rate=1000)
+    left, before = number, sys.gettrace()
+
+    def trace(frame, event, _argument):
+        nonlocal left
+        if frame.f_code.co_filename != minimal.__file__:
+            return None
+        if event == "line":
+            left -= 1
+            if left == 0:
+                raise KeyboardInterrupt
+        return trace
+
+    sys.settrace(trace)
+    try:
+        loop.run(steps=2)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        sys.settrace(before)
+    return left <= 0, [each.told[-1] for each in motors if each.told]
+
+
+def test_every_exit_ends_with_the_safe_command_wherever_ctrl_c_comes() -> None:
+    """Also in the lines that end the program, which no device sees."""
+    number, came = 0, True
+    while came:
+        number += 1
+        came, do = interrupted(number)
+        assert not any(do), number
+    assert number > 100
 
 
 def found_in(reactions=(), sensors=(), actuators=(), rate=50.0) -> str:
