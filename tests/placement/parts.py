@@ -218,6 +218,19 @@ class Dock(esair.Request[Docked]):
     bay: int
 
 
+class Registers(esair.Behavior):
+    """Registers the same again for each of its jobs."""
+
+    placement = "process"
+
+    async def run(self) -> None:
+        for _ in range(50):
+            port = await self.register("sonar", esair.Access.READ)
+            assert await port.read() == 1.0
+        self.offer("done")
+        await asyncio.sleep(60.0)
+
+
 class Impatient(esair.Behavior):
     """Waits for a moment at a time, in one of three ways; offers what it has got."""
 

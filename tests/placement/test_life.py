@@ -30,6 +30,7 @@ from tests.placement.parts import (
     OneByOne,
     PushedClock,
     Pusher,
+    Registers,
     SmallAvoid,
     SmallSonar,
     Sonar,
@@ -39,6 +40,7 @@ from tests.placement.parts import (
 )
 
 import esair
+from esair.connections import SensorPort
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.xdist_group("placement")]
@@ -228,6 +230,19 @@ async def test_a_loop_for_each_request_leaves_nothing_in_the_robot() -> None:
         before = kept()
         await ask(40)
         assert kept() - before < 10
+
+
+@pytest.mark.promise("PLC-1", "ROB-7")
+async def test_the_same_registration_again_leaves_nothing_in_the_robot() -> None:
+    """A behavior may register for each of its jobs for as long as the robot lives."""
+    sonar = FakeSensor("sonar", 1.0)
+    registers = Registers(name="registers")
+    async with esair.Robot(resources=[sonar], behaviors=[registers]) as robot:
+        get = robot.behaviors.get
+        assert await get(sender="registers", receiver="user", interval=10.0) == "done"
+        gc.collect()
+        ports = [each for each in gc.get_objects() if type(each) is SensorPort]
+        assert len(ports) < 5
 
 
 @pytest.mark.promise("PLC-1", "PLC-5")

@@ -251,7 +251,8 @@ class BehaviorVerbs(PortVerbs):
     ) -> str:
         behavior: Any = self._actions[step]
         port = await Behavior.register(behavior, resource, access, **terms)
-        key = f"{step}:registered {self._next()}"
+        # The same again is the same port: some register for each job.
+        key = f"{step}:registered {resource} {access!r} {terms}"
         self._registered[key] = port
         return key
 
