@@ -63,3 +63,60 @@ async def test_who_lived_elsewhere_for_one_run_does_so_in_its_repetition(
     assert code == 0, said
     code, said = await asyncio.to_thread(verbs, tmp_path, "replay", "run.mcap")
     assert (code, said[:5]) == (0, "equal"), said
+
+
+PUSHES = """
+import time
+import esair
+
+class Eye(esair.Sensor[float]):
+    period = 1.0
+    placement = "process"
+
+    def stream(self):
+        while True:
+            yield time.monotonic()
+            time.sleep(0.02)
+
+class Wheels(esair.Actuator[float]):
+    safe = 0.0
+
+    async def write(self, command):
+        pass
+
+class Follow(esair.Reaction):
+    eye = esair.reads(float)
+    wheels = esair.writes(float)
+
+    def react(self, eye: float) -> float:
+        return 1.0 + eye % 1.0
+"""
+
+OF_IT = """
+[robot]
+name = "pushed"
+
+[sensor.eye]
+driver = "pushes:Eye"
+
+[actuator.wheels]
+driver = "pushes:Wheels"
+
+[behavior.follow]
+driver = "pushes:Follow"
+"""
+
+
+@pytest.mark.promise("PLC-7", "REP-2")
+async def test_a_placed_driver_with_a_thread_is_recorded_exactly(
+    tmp_path: Path,
+) -> None:
+    """What it gives is kept: whatever goes on in its process is not repeated."""
+    (tmp_path / "pushes.py").write_text(PUSHES)
+    (tmp_path / "robot.toml").write_text(OF_IT)
+    run = "run robot.toml --for 1.0 --record run.mcap"
+    code, said = await asyncio.to_thread(verbs, tmp_path, *run.split())
+    assert code == 0, said
+    code, said = await asyncio.to_thread(verbs, tmp_path, "replay", "run.mcap")
+    assert (code, said[:5]) == (0, "equal"), said
+    assert "compared up to there" not in said

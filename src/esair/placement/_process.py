@@ -317,7 +317,8 @@ class Process(Exchange):
     def _ticked(self) -> None:
         """It has heard of something by a way of its own: tell it the time."""
         tape = self._door.tape
-        if tape is not None and not isinstance(tape, Player):
+        is_driver = self._tag[0] == "driver"  # what it gives is kept, and not repeated
+        if tape is not None and not is_driver and not isinstance(tape, Player):
             tape.spoil(
                 f"the process of {self.name} has descriptors or threads of its own"
             )
