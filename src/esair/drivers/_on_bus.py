@@ -116,3 +116,19 @@ def watching(
                 device.report_lost(error)
 
     return spawn(asyncio.get_running_loop(), watch(), name=f"watch {device.name}")
+
+
+def loop_of(fake: object) -> asyncio.AbstractEventLoop:
+    """Return the event loop by whose clock a fake part lives from its start.
+
+    Raises:
+        RuntimeError: There is none: it is made too early.
+    """
+    try:
+        return asyncio.get_running_loop()
+    except RuntimeError:
+        told = (
+            f"{type(fake).__name__}: it lives by the clock of the event loop from its "
+            "start: make it in the test, or in an `async def` fixture"
+        )
+        raise RuntimeError(told) from None

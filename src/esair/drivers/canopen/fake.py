@@ -12,6 +12,7 @@ from canopen.sdo.exceptions import SdoAbortedError
 
 from esair.buses import Frame
 from esair.buses.can import FakeCan
+from esair.drivers._on_bus import loop_of
 
 
 class FakeCanopenNode:
@@ -31,6 +32,7 @@ class FakeCanopenNode:
     def __init__(
         self, can: FakeCan, eds: Path | str | ObjectDictionary, *, node: int = 1
     ) -> None:
+        loop_of(self)
         self.delay: float = 0.0
         self.written: list[tuple[int, int, Any]] = []
         self._network = _Network(can)

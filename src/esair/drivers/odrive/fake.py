@@ -7,6 +7,7 @@ import asyncio
 from esair.buses import Frame
 from esair.buses.can import FakeCan
 from esair.drivers import odrive
+from esair.drivers._on_bus import loop_of
 from esair.drivers.odrive import AxisError, AxisState, ControlMode, Message
 
 HEARTBEAT_PERIOD = 0.1  # Between two heartbeats, in seconds
@@ -46,6 +47,7 @@ class FakeOdrive:
         watchdog: float | None = None,
         boot_time: float = 1.0,
     ) -> None:
+        self._loop = loop_of(self)
         self.node = node
         self.watchdog = watchdog
         self.boot_time = boot_time
@@ -62,7 +64,6 @@ class FakeOdrive:
         self.bad_frames: int = 0
         self._can = can
         can.on_send(self.receive)
-        self._loop = asyncio.get_running_loop()
         self._fed = self._loop.time()
         self._timers: dict[str, asyncio.TimerHandle] = {}
         self.start()
