@@ -346,16 +346,16 @@ class _Port:
                 passed = reaction.blind(command)
             elif not output.writer or output.last == output.safe:
                 return None
-            if passed is not None and passed is not command:
-                passed = output.checked(passed)
-                if passed != _less(passed, command, output.safe):
-                    raise ValueError("more", passed)
+            if passed is not None:
+                if passed is not command:
+                    passed = output.checked(passed)
+                    if passed != _less(passed, command, output.safe):
+                        raise ValueError("more", passed)
+                return passed
         except Exception as error:
             output.loop.note(task.name, error)
-            passed = None
-        if passed is None:
-            self.shut = self.latch
-        return passed
+        self.shut = self.latch
+        return None
 
 
 class _Output:
