@@ -306,3 +306,15 @@ async def test_a_limit_of_its_own_that_no_reading_can_meet_is_its_fault() -> Non
         sonar.feed(1.0)
         await asyncio.sleep(0.2)
         assert robot.behaviors.query("hasty").state is State.FAILED
+
+
+@pytest.mark.promise("RS-3")
+async def test_a_right_of_a_run_that_has_ended_names_its_resource() -> None:
+    """What it was used for says which device, not "resource"."""
+    device, driver = wheels(), Driver()
+    async with esair.Robot(resources=[device], behaviors=[driver]) as robot:
+        await device.until(1.0)
+        port = driver.wheels
+        await robot.behaviors.restart("driver")
+        with pytest.raises(esair.NotRegisteredError, match="uses 'wheels'"):
+            raise port.registration.reason()

@@ -448,13 +448,13 @@ class Member:
         """Revoke all its registrations in one step; what it moved is made safe."""
         if self.runner is not None:
             self.runner.stop()
-        reason = reason or partial(run_ended, self.name, "resource")
         uses = self.uses()
         if uses:
             self.used = {each.resource for each in uses}
         for registration in uses:
             if registration.reason is None:  # else the robot stops
-                self.crew.resources.control.revoke(registration, reason)
+                ended = partial(run_ended, self.name, registration.resource)
+                self.crew.resources.control.revoke(registration, reason or ended)
         self.grants.registrations.clear()
         if self.portal is not None:
             self.portal.close()
