@@ -449,28 +449,13 @@ async def test_a_request_whose_answer_is_lost_is_not_known() -> None:
             await asked
         await asyncio.sleep(0.3)
         assert pair.docking.cancelled == 1  # who asked is gone
+        with pytest.raises(esair.RefusedError, match="not there"):
+            await hand.ask("far_docking", Dock(3))
         pair.network.heal()
         pair.docking.go.set()
         await asyncio.sleep(1.0)
         assert await hand.ask("far_docking", Dock(4))
         assert pair.docking.begun == [2, 4]
-
-
-@pytest.mark.promise("NET-2", "BS-2", "BS-10")
-async def test_an_ask_waits_for_a_peer_that_is_not_there() -> None:
-    """As for any behavior that cannot receive; given up before, it is never sent."""
-    pair, hand = Pair(), Hand()
-    async with pair.both(hand):
-        pair.docking.go.set()
-        pair.network.cut("base")
-        await asyncio.sleep(2.0)
-        with pytest.raises(esair.BehaviorUnavailableError):
-            await hand.ask("far_docking", Dock(3), timeout=0.5)
-        asked = asyncio.ensure_future(hand.ask("far_docking", Dock(4), timeout=10.0))
-        await asyncio.sleep(1.0)
-        pair.network.heal()
-        assert await asked
-        assert pair.docking.begun == [4]
 
 
 @pytest.mark.promise("NET-3")

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any, Final
 
 from esair.actions import Behavior, Request, answer_type, declared_requests, takes
-from esair.buses.peer import BEAT, PeerBus
+from esair.buses.peer import PeerBus
 from esair.codec import CodecError, decode, encode
 from esair.exceptions import (
     BehaviorFailedError,
@@ -27,8 +27,7 @@ class PeerBehavior(Behavior):
     """Stands here for a behavior of a peer; `peer_behavior` makes one.
 
     Each request has one outcome. One whose answer is lost with the peer ends as
-    `OutcomeUnknownError`, never as failed. While the peer is not there one waits as for
-    any behavior that cannot receive: nothing of it is sent when its asker's time is over.
+    `OutcomeUnknownError`, never as failed; one that was not sent is refused.
     """
 
     bus: PeerBus
@@ -116,12 +115,12 @@ class PeerBehavior(Behavior):
             if cause is not None:
                 bus.say("because", asked, cause)
 
-        while not bus.is_open:  # noqa: ASYNC110 - others open it, and lose it
-            await asyncio.sleep(BEAT)
+        how, value = "declined", f"{bus.name!r} is not there"
         try:
-            how, value = await bus.request(
-                *("ask", self.remote, request), progress=progress, numbered=numbered
-            )
+            if bus.is_open:
+                how, value = await bus.request(
+                    *("ask", self.remote, request), progress=progress, numbered=numbered
+                )
         except DeviceLostError as error:
             how, value = "lost", error.detail
         except EsairError as error:  # it was not sent
