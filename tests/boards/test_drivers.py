@@ -155,7 +155,7 @@ async def test_an_open_room_blinds_nobody(machine) -> None:
 
     class Motor(Actuator):
         safe = 0.0
-        told = ()
+        told: tuple[float, ...] = ()
 
         def write(self, command: float) -> None:
             self.told += (command,)

@@ -135,7 +135,8 @@ class Sees(esair.Behavior):
 
     @esair.answers
     async def count(self, request: Count) -> int:
-        return len(await self.camera.read())
+        picture: Any = await self.camera.read()
+        return len(picture)
 
 
 class Eyes(esair.Reaction):

@@ -314,7 +314,7 @@ async def test_a_right_of_a_run_that_has_ended_names_its_resource() -> None:
     device, driver = wheels(), Driver()
     async with esair.Robot(resources=[device], behaviors=[driver]) as robot:
         await device.until(1.0)
-        port = driver.wheels
+        port: Any = driver.wheels
         await robot.behaviors.restart("driver")
         with pytest.raises(esair.NotRegisteredError, match="uses 'wheels'"):
             raise port.registration.reason()
