@@ -96,6 +96,12 @@ class _DamagedError(Exception):
     """A part is not what was written."""
 
 
+def need_unpackers() -> None:
+    """Import what unpacks a recording: the package that writes one does without, silently."""
+    import lz4.frame  # type: ignore[import-untyped]  # noqa: F401
+    import zstandard  # noqa: F401
+
+
 def parts_of(path: Path, *, skip_messages: bool = False) -> Iterator[Part]:
     """Yield the parts of an MCAP file up to where it is cut.
 
@@ -105,10 +111,7 @@ def parts_of(path: Path, *, skip_messages: bool = False) -> Iterator[Part]:
         path: The file.
         skip_messages: Whether chunks are passed over, unread.
     """
-    # Now, so that no file decides what is imported.
-    import lz4.frame  # type: ignore[import-untyped]  # noqa: F401
-    import zstandard  # noqa: F401
-
+    need_unpackers()  # so that no file decides what is imported
     damaged = _Damaged()
     try:
         with path.open("rb") as file:

@@ -11,7 +11,16 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from esair.exceptions import RecordingBrokenError
-from esair.recording._parts import MAGIC, Fact, Message, Shown, Start, Topic, parts_of
+from esair.recording._parts import (
+    MAGIC,
+    Fact,
+    Message,
+    Shown,
+    Start,
+    Topic,
+    need_unpackers,
+    parts_of,
+)
 from esair.recording._reading import segments_of
 
 RECOVERED = "-recovered"
@@ -129,6 +138,7 @@ def recover(path: str | Path, target: str | Path | None = None) -> Recovered:
 
 def _copied(path: Path, file: BinaryIO) -> tuple[int, bool]:
     """Write what is readable of a recording; return how much it is, and if it is all."""
+    need_unpackers()
     from mcap.writer import CompressionType, Writer
 
     writer = Writer(file, compression=CompressionType.ZSTD)
