@@ -119,6 +119,8 @@ class _Beats(SharedTask):
             self._heard, self._now_ms, self.wire = -1.0, -1, Wire()
             self._first, self._sending = asyncio.Event(), asyncio.Lock()
             self._waiting = {}
+        elif self._silent > SILENCE:
+            self._first.clear()  # another device of it has not noticed yet
         try:
             async with asyncio.timeout(1.6 * SILENCE):
                 await self._first.wait()
@@ -132,12 +134,15 @@ class _Beats(SharedTask):
             await self.leave(user)
             raise DeviceFaultError(name, refusal(self.wire.version))
 
+    @property
+    def _silent(self) -> float:
+        return asyncio.get_running_loop().time() - self._heard
+
     def check(self, name: str) -> None:
         """Raise if the board has been silent for too long, or has started anew."""
         if self._now_ms == _RESTARTED:
             raise DeviceLostError(name, "the board has restarted")
-        silent = asyncio.get_running_loop().time() - self._heard
-        if self._task is None or self._task.done() or silent > SILENCE:
+        if self._task is None or self._task.done() or self._silent > SILENCE:
             raise DeviceLostError(name, "the board is silent")
 
     async def _run(self, bus: SerialBus) -> None:
