@@ -385,9 +385,10 @@ def test_what_is_none_of_its_kind_is_named(field: str) -> None:
 
 
 @pytest.mark.promise("ROB-2", "ROB-6", "SUP-3")
+@pytest.mark.parametrize("is_halted", [False, True])
 @pytest.mark.parametrize("deadline", [1.0, 2.0, 3.0, 60.0])
 async def test_what_hangs_is_reported_before_the_time_of_the_stop_is_over(
-    fake_actuator: Any, deadline: float
+    fake_actuator: Any, deadline: float, is_halted: bool
 ) -> None:
     """The stop is one deadline: that of a driver does not make it any longer."""
     wheels, slow = fake_actuator("wheels", safe=0.0), fake_actuator("slow", safe=0.0)
@@ -407,6 +408,8 @@ async def test_what_hangs_is_reported_before_the_time_of_the_stop_is_over(
     async with robot:
         await wheels.until(1.0)
         await asyncio.sleep(0.1)
+        if is_halted:
+            robot.halt("a look at it")
         began = asyncio.get_running_loop().time()
     took = asyncio.get_running_loop().time() - began
     assert took <= robot.grace + 2.0

@@ -31,10 +31,16 @@ def rerun(pytester: pytest.Pytester, target: Target, report: Report) -> Path:
 
 
 @pytest.mark.long
+def test_a_driver_that_waits_for_a_minute_is_no_fault() -> None:
+    """The stop has one deadline, whatever that of a driver is."""
+    _, report = tortured("no_deadline")
+    assert not report.findings
+
+
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("robot", "rule", "component", "steps"),
     [
-        ("no_deadline", "stop", "robot", 1),
         pytest.param("blind", "blind", "wheels", 1, marks=pytest.mark.long),
         pytest.param("no_bound", "queue", "diary", 0, marks=pytest.mark.long),
         pytest.param("stubborn", "left", "stubborn", 0, marks=pytest.mark.long),

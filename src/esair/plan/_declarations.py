@@ -381,7 +381,8 @@ _NOTHING = None, "None"
 def _slews_from_nowhere(actuator: Actuator[Any]) -> Iterator[Finding]:
     """Find who bounds changes and never says from where the first one goes."""
     returns = getattr(actuator.write, "__annotations__", {}).get("return", "")
-    if actuator.slew is not None and actuator.safe is HOLD and returns in _NOTHING:
+    stays = getattr(actuator, "safe", None) is HOLD
+    if actuator.slew is not None and stays and returns in _NOTHING:
         told = "its first command after each opening is not bounded: nobody knows from where"
         advice = "return the place from write when it is told esair.HOLD"
         yield warning("protect", actuator, "slew", told, advice)

@@ -72,7 +72,9 @@ class Halts:
             _log.warning("robot %s: starts halted: %s", self._name, halt.reason)
 
     async def close(self) -> None:
-        """The robot has stopped: wait until every halt has its answer; bounded."""
+        """The robot has told of each actuator what it answered: each halt tells that, too."""
+        for each in tuple(self._answers):
+            each.cancel()
         if self._answers:
             await asyncio.wait(self._answers)
         self._loop = None
