@@ -683,7 +683,7 @@ class ThreadedCall:
         self, calls: Calls, call: Call, method: Method, guard: Guard | None
     ) -> None:
         assert method.executor is not None
-        self.executor = method.executor()
+        self.executor: Executor = method.executor()
         self._calls = calls
         self._call = call
         self._function = method.function

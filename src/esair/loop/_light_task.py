@@ -255,7 +255,7 @@ class LightTask(asyncio.Future[None]):
         self._ended: Callable[[Any, BaseException | None], None] | None = None
         self._runs = runs = _run_all(self)
         runs.send(None)
-        self.send = runs.send
+        self.send: Callable[[Any], Any] = runs.send
         """Runs a coroutine to its end or its first wait; `ENDED` says that it ended."""
         self.value: Any = None  # what the last coroutine has returned
         # These three have the names that anyio looks at.

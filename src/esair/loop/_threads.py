@@ -408,7 +408,7 @@ class Results:
         """The calls that wait for their results."""
         self.deadline: Deadline = Deadlines.beside(loop).idle(self._expire)
         """That of the one whose time is over first."""
-        self.held = 0
+        self.held: int = 0
         """How many calls it was given that have not come to its thread: see `Door`."""
         self.is_over = False  # whether the thread ends after them
 
