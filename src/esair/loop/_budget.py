@@ -72,7 +72,8 @@ class Budget(OfTurn):
         """Whether `late` is of this turn, on a loop that has no border in each pass."""
         self._at = 0  # the turn whose awaits are counted
         self._awaits = 0
-        self._next: tuple[int, int] | None = None  # who gave way next, in a replay
+        self._next: tuple[int, int, int] | None = None
+        """Who gives way next in a replay: in which turn, by which await, for how long."""
         self._found = 0  # the turn in which somebody has found that it lasts too long
         self._spender: Callable[[], object] = _nobody
 
@@ -95,16 +96,21 @@ class Budget(OfTurn):
     async def give_way(self, tries: int = 2) -> None:
         """Let everybody else go on first: the turn has lasted for too long.
 
-        Who finds it first has made it last, and goes on after the others, those too whom
-        the next turn lets go on. One of them may make its turn last just as long.
+        Who finds first that it has lasted, and did not only await much in it, goes on after
+        those whom the next turn lets go on. One of them may make its turn last as long.
         """
         turn = self._turn
         if not turn.has_lasted():
             return
-        if isinstance(turn.door.tape, TapeWriter):
-            turn.door.tape.first(_TAG, First(value=(turn.number, self._awaits)))
-        passes = 1 if turn.number == self._found else 3
-        self._found = turn.number
+        if self._next is None:
+            has_lasted = turn.clock() > turn.time() + LASTS
+            passes = 3 if has_lasted and turn.number != self._found else 1
+            self._found = turn.number
+            if isinstance(turn.door.tape, TapeWriter):
+                gave_way = turn.number, self._awaits, passes
+                turn.door.tape.first(_TAG, First(value=gave_way))
+        else:
+            passes, self._next = self._next[2], None
         for _ in range(passes):
             await asyncio.sleep(0)
         turn.count()
@@ -154,9 +160,8 @@ class Budget(OfTurn):
         number = self._count()
         if self._next is None and player.has_first(_TAG):
             self._next = tuple(player.first(_TAG)[1].value)
-        if self._next is None or self._next > (number, self._awaits):
+        if self._next is None or self._next[:2] > (number, self._awaits):
             return -math.inf
-        self._next = None
         return math.inf
 
 
