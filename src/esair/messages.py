@@ -10,7 +10,7 @@ import attrs
 
 from esair.exceptions import ConfigError, hint_for
 from esair.flaws import owned
-from esair.values import as_path, check_name, check_party, is_positive, tls_context
+from esair.values import as_path, check_name, check_party, is_positive
 
 if TYPE_CHECKING:
     import ssl
@@ -658,7 +658,18 @@ class Page:
         """
         if self.certificate is None or self.key is None:
             return None
-        return tls_context("page", self.certificate, self.key)
+        import ssl  # only for those who need it
+
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        for field in ("certificate", "key"):
+            if not (file := getattr(self, field)).is_file():
+                raise ConfigError("page", field, f"there is no file {str(file)!r}")
+        try:  # a passphrase is asked of nobody
+            context.load_cert_chain(self.certificate, self.key, password=lambda: "")
+        except (OSError, ValueError) as error:
+            told = f"expected a certificate in PEM, and its key without a passphrase: {error}"
+            raise ConfigError("page", "certificate", told) from None
+        return context
 
     @property
     def is_local(self) -> bool:

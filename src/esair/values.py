@@ -18,7 +18,6 @@ from esair.exceptions import BadValueError, ConfigError
 from esair.exceptions import printable as printable
 
 if TYPE_CHECKING:
-    import ssl
     from pathlib import Path
 
 T = TypeVar("T")
@@ -230,29 +229,6 @@ def check_choice(component: str, field: str, value: object, choices: Iterable[T]
     raise ConfigError(
         component, field, f"expected {', '.join(most)} or {last}, not {value!r:.80}"
     )
-
-
-def tls_context(component: str, certificate: Path, key: Path) -> ssl.SSLContext:
-    """Return how a server speaks TLS.
-
-    Raises:
-        ConfigError: A file is not there, or they are no certificate and its key.
-    """
-    import ssl  # only for those who need it
-
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    for field, file in (("certificate", certificate), ("key", key)):
-        if not os.path.isfile(file):
-            told = f"there is no file {str(file)!r}"
-            raise ConfigError(component, field, told)
-    try:
-        context.load_cert_chain(certificate, key, password=lambda: "")  # asks nobody
-    except (OSError, ValueError) as error:
-        told = (
-            f"expected a certificate in PEM, and its key without a passphrase: {error}"
-        )
-        raise ConfigError(component, "certificate", told) from None
-    return context
 
 
 def is_whole(value: object, least: int, most: int) -> bool:
