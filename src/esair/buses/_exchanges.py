@@ -176,7 +176,7 @@ class Exchanges:
         if self.now is None and not self.is_owed_to(exchange):
             self.now = exchange
             return
-        if len(self._line) >= self._limit and not exchange.urgency.level:
+        if not self._turns.has_room(len(self._line), self._limit, exchange.urgency):
             self.bus.stats.refused += 1
             raise BusyError(f"bus {self.bus.name}", "number of requests", self._limit)
         self._line.append(exchange)

@@ -183,6 +183,14 @@ class Turns:
         level: int = waits.urgency.level
         return -level if level > self._floor else 0
 
+    @staticmethod
+    def has_room(waiting: int, limit: int, urgent: Urgency) -> bool:
+        """Tell whether one more may wait.
+
+        What makes safe, or opens an actuator, may where as many again wait already.
+        """
+        return waiting < (2 * limit if urgent.level > COMMAND else limit)
+
     def taken(self, waits: Any) -> None:
         """Take note who has the turn."""
         self._floor = COMMAND if waits.urgency.level == COMMAND else 0

@@ -317,7 +317,7 @@ class Executor:
     ) -> None:
         """Have a blocking function called; its outcome comes in the loop, however late."""
         urgent = urgent or urgency.get()
-        if bounded and len(self._line) >= self.limit and not urgent.level:
+        if bounded and not Turns.has_room(len(self._line), self.limit, urgent):
             raise BusyError(
                 f"executor {self.name}", "number of waiting calls", self.limit
             )
