@@ -29,6 +29,7 @@ from esair.exceptions import (
 from esair.loop import (
     COMMAND,
     ENDED,
+    LASTS,
     REACHED,
     WAITS,
     Caller,
@@ -57,9 +58,6 @@ OPERATE = "operate"
 _GONE = frozenset(
     {errno.ENODEV, errno.ENOENT, errno.ENOTCONN, errno.ESHUTDOWN, errno.EBADF}
 )
-
-HELD_UP = 0.005
-"""How old what a thread brings is if the loop was held up meanwhile, in seconds."""
 
 Guard = Callable[[], bool]
 
@@ -171,8 +169,8 @@ def _nothing() -> None:
 
 
 def stamped(value: Any, ended: float | None, now: float) -> Any:
-    """Return what was brought from beside, with its time if it is older than this turn."""
-    if ended is None or now - ended < HELD_UP:
+    """Return what was brought from beside, with its time if that is a turn ago or more."""
+    if ended is None or now - ended < LASTS:
         return value
     if type(value) is not Stamped:
         return Stamped(value, ended)

@@ -13,7 +13,14 @@ turn may take (`_budget`), garbage collected in gaps, signals, and the end of a 
 (`_overseer`).
 """
 
-from esair.loop._budget import PUT_COST, READ_COST, VERB_COST, WRITE_COST, Budget
+from esair.loop._budget import (
+    LASTS,
+    PUT_COST,
+    READ_COST,
+    VERB_COST,
+    WRITE_COST,
+    Budget,
+)
 from esair.loop._deadlines import Deadline, Deadlines, DeadMan
 from esair.loop._door import Arrivals, Door, News, arrive, ask_outside, outside
 from esair.loop._every import every
@@ -98,6 +105,7 @@ __all__ = [
     "COMMAND",
     "ENDED",
     "GLANCE",
+    "LASTS",
     "NEVER",
     "OPENING",
     "PRIORITY",
