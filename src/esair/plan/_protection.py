@@ -15,8 +15,10 @@ from esair.values import is_positive
 _IN_DEVICE = "its device decides"  # What is said of a guard that is not of this robot
 
 UNWATCHED = "UNWATCHED"
-KEEPS_ON = "it keeps its last command"
 """What is said of an actuator that no watchdog makes safe."""
+
+KEEPS_ON = "it keeps its last command"
+"""What is said of one that nothing makes safe when the computer dies."""
 
 _MUTE_LIMIT = Reaction.mute_limit
 """What a class has that says nothing about it, in seconds."""
