@@ -480,6 +480,19 @@ def test_what_fails_on_the_board_is_told_with_file_and_line(
     assert 'File "simple_parts.py", line 19, in react' in str(error)
 
 
+def test_a_link_has_no_more_actuators_than_it_tells_apart(tmp_path) -> None:
+    """Each one more is named; without a link the board may have them."""
+    path = simple(
+        tmp_path, **{f"actuator_m{n}": "simple_parts:Motor" for n in range(33)}
+    )
+
+    with pytest.raises(ExceptionGroup) as caught:
+        firmware.build(path, tmp_path / "board", link=True)
+    told = [str(each) for each in caught.value.exceptions]
+    assert len(told) == 2
+    assert "actuator.m31: a link has 32 actuators at most" in told[0]
+
+
 def test_a_pin_that_the_board_does_not_have_is_told(micropython, tmp_path) -> None:
     """Pins are found by opening the parts."""
     path = tmp_path / "robot.toml"

@@ -298,6 +298,20 @@ def test_what_waits_for_one_step_goes_in_one_message() -> None:
 WHEELS = [b"w%d" % number for number in range(20)]
 
 
+def test_a_command_never_goes_to_another_actuator() -> None:
+    """Of more than a message tells apart the rest is not there: nothing is sent to it."""
+    wire_ = wire.Wire()
+    beat = struct.pack("<BBBBHIIIIHH", 98, link.VERSION, *[0] * 9)
+    many = [f"w{number}" for number in range(wire.PLACES + 1)]
+    names = b"n" + struct.pack("<II", 50_000, 0) + b";" + ",".join(many).encode()
+    wire_.said(beat)
+    wire_.said(names)
+
+    told = [wire_.command(each, 0.5) for each in many]
+    assert told.pop() is None
+    assert [each[0] & 31 for each in told if each] == [*range(wire.PLACES)]
+
+
 @pytest.mark.parametrize(
     "value",
     [

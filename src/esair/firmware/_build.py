@@ -14,6 +14,7 @@ import attrs
 
 from esair import minimal
 from esair.config import ConfigFileError, Lines, keywords_of, load, searched_first
+from esair.drivers.board.wire import PLACES
 from esair.exceptions import ConfigError
 from esair.firmware._boards import BOARDS, Board
 from esair.firmware._fit import (
@@ -124,6 +125,8 @@ def build(
     modules.add("esair.boards.start", "")
     if link:
         modules.add("esair.boards.link", "")
+        for part in [each for each in parts if each.kind == "actuator"][PLACES:]:
+            misfit(part.key, f"a link has {PLACES} actuators at most: give it a board")
     with searched_first(path.parent):
         for part in parts:
             modules.add(type(part.made).__module__, part.key)

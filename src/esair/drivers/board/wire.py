@@ -33,6 +33,9 @@ _REASONS: Final = {
 }
 """What a board says of a command that was not done, by letter."""
 
+PLACES: Final = 32
+"""So many actuators a message tells apart: the rest of its byte numbers the commands."""
+
 _ROOM: Final = 48
 """Bytes of a message at most, unless one command is longer: a step reads them one by one."""
 
@@ -209,7 +212,7 @@ class Wire:
             self.period = 1000 / rate
             sensors, _, actuators = payload[9:].decode().partition(";")
             self.sensors = sensors.split(",")
-            self._actuators = actuators.split(",")
+            self._actuators = actuators.split(",")[:PLACES]
             self.named = True
         elif kind == b"s" and self.named:
             return self._readings(payload)
