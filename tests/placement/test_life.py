@@ -437,3 +437,6 @@ async def test_who_dies_while_it_waits_has_taken_nothing(way: str, fault: int) -
             await there.put(7, sender="user", receiver="waits", interval=20.0)
         await until(lambda: there.query("waits").restarts == 1)
         assert await there.get(sender="waits", receiver="user", interval=20.0) == 7
+        told = [each for each in there.outcomes() if each.receiver == "waits"]
+        ended = [each.outcome.value for each in told]
+        assert ended == (["withdrawn", "delivered"] if way == "get" else ["delivered"])

@@ -13,7 +13,7 @@ from esair import minimal
 from esair.actions import Behavior, Reaction, adapt_action
 from esair.connections import run_ended
 from esair.exceptions import AccessDeniedError, ConfigError
-from esair.loop import clock_of, current_task_of, settle, wake
+from esair.loop import clock_of, current_task_of, ignore, settle, wake
 from esair.messages import Access, Refused
 from esair.placement._wire import ASKED, AWAITED, CALLED, End, Op, make
 from esair.plan import SCRIPT
@@ -110,6 +110,7 @@ class InHand(asyncio.Future[None]):
 
     value: Any
     put_back: Callable[[], object]
+    fetched: Callable[[], object]
 
     def cancel(self, msg: Any | None = None) -> bool:
         is_left = super().cancel(msg)
@@ -351,11 +352,20 @@ class BehaviorVerbs(PortVerbs):
 
     async def _get(self, asked: Asked, sender: str, interval: float) -> None:
         mail = vars(self._behavior)["_mail"]
-        data = await Behavior.get(self._behavior, sender, interval)
-        await self._hand_over(asked.number, data, lambda: mail.give_back(sender, data))
+        data = await mail.get(sender, interval, is_taken=False)
+        await self._hand_over(
+            asked.number,
+            data,
+            lambda: mail.give_back(sender, data),
+            lambda: mail.got(sender, data),
+        )
 
     async def _hand_over(
-        self, number: int, value: Any, put_back: Callable[[], object]
+        self,
+        number: int,
+        value: Any,
+        put_back: Callable[[], object],
+        fetched: Callable[[], object] = ignore,
     ) -> None:
         """Wait until the child has fetched something; what it does not is put back."""
         loop = asyncio.get_running_loop()
@@ -363,6 +373,7 @@ class BehaviorVerbs(PortVerbs):
         in_hand = self._handed[number] = InHand(loop=loop)
         in_hand.value = value
         in_hand.put_back = functools.partial(context.run, put_back)
+        in_hand.fetched = fetched
         self._seat.reply(Op.NEWS, number, None)
         try:
             await in_hand
@@ -374,6 +385,7 @@ class BehaviorVerbs(PortVerbs):
         if in_hand is None or in_hand.done():
             raise run_ended(self._behavior.name)
         in_hand.set_result(None)
+        in_hand.fetched()
         return in_hand.value
 
     async def _manage(self, _: Asked, verb: str, *args: Any) -> Any:

@@ -216,7 +216,6 @@ class Mailbox:
         if not self.askers.count:
             return False
         request = self.askers.pop()
-        request.offered = self.latest is NOTHING
         # What was made for it is not needed.
         request.withdraw(Outcome.DELIVERED, data)
         return True
@@ -252,10 +251,12 @@ class Mailbox:
         self.check_speaker()
         return self._mediator.put(data, self.name, receiver, interval, self)
 
-    def get(self, sender: str, interval: float) -> Coroutine[Any, Any, Any]:
-        """Ask another behavior for data."""
+    def get(
+        self, sender: str, interval: float, *, is_taken: bool = True
+    ) -> Coroutine[Any, Any, Any]:
+        """Ask another behavior for data; if it is not taken yet, `got` tells when."""
         self.check_speaker()
-        return self._mediator.get(sender, self.name, interval, self)
+        return self._mediator.get(sender, self.name, interval, self, is_taken=is_taken)
 
     def ask(
         self,
@@ -316,11 +317,13 @@ class Mailbox:
         self.inbox.insert(0, taken)
         self.wake()
 
+    def got(self, sender: str, data: Any) -> None:
+        """What was asked of another has been taken."""
+        self._mediator.record("get", sender, self.name, _DELIVERED, data)
+
     def give_back(self, sender: str, data: Any) -> None:
-        """Let the next one have what did not reach who has got it, if it is there once."""
-        member = self._mediator.boxes.get(sender)
-        if member is not None and member.latest is NOTHING:
-            member.put_back(data)
+        """Let the next one have what did not reach who has asked for it."""
+        self._mediator.give_back(sender, self.name, data)
 
     def offer(self, data: Any, latest: bool) -> None:
         """Lay data out for whoever asks for it."""
@@ -525,28 +528,40 @@ class Mediator(Ledger):
         return data
 
     async def get(
-        self, sender: str, receiver: str, interval: float, by: Mailbox | None = None
+        self,
+        sender: str,
+        receiver: str,
+        interval: float,
+        by: Mailbox | None = None,
+        *,
+        is_taken: bool = True,
     ) -> Any:
         """Ask a behavior for data; see `BehaviorSupervisor.get`."""
         member = self._check(sender, "interval", interval)
-        offered = self.take(sender, receiver, float(interval))
-        if offered is not NOTHING:
-            return offered
-        member.check_carries()
-        request = Request("get", None, receiver, member.askers, by, self)
-        path = circle_of_get(receiver, sender, self.boxes, self.of_asker)
-        self._begin(request, interval, path)
-        member.askers.roused()
-        try:
-            data = await request.outcome()
-        except asyncio.CancelledError:
-            if request.how is _DELIVERED:  # it came in this very instant
-                self.record("get", sender, receiver, Outcome.WITHDRAWN)
-                if request.offered:
-                    self.boxes.get(sender, member).put_back(request.value)
-            raise
-        self.record("get", sender, receiver, _DELIVERED, data)
+        if sender != receiver and (member.outbox or member.latest is not NOTHING):
+            data = member.outbox.pop(0) if member.outbox else member.latest
+        else:
+            member.check_carries()
+            request = Request("get", None, receiver, member.askers, by, self)
+            path = circle_of_get(receiver, sender, self.boxes, self.of_asker)
+            self._begin(request, interval, path)
+            member.askers.roused()
+            try:
+                data = await request.outcome()
+            except asyncio.CancelledError:
+                if request.how is _DELIVERED:  # it came in this very instant
+                    self.give_back(sender, receiver, request.value)
+                raise
+        if is_taken:
+            self.record("get", sender, receiver, _DELIVERED, data)
         return data
+
+    def give_back(self, sender: str, receiver: str, data: Any) -> None:
+        """Let the next one have what was not taken, if it is there once only."""
+        self.record("get", sender, receiver, Outcome.WITHDRAWN)
+        member = self.boxes.get(sender)
+        if member is not None and member.latest is NOTHING:
+            member.put_back(data)
 
     # Ask.
 

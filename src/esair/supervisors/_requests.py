@@ -154,12 +154,10 @@ class Request:
         outer: The request that the peer served already when it took this one.
         how: Its outcome, when it has one.
         cancelled: Whether that came from elsewhere than from who works on it.
-        offered: It was answered with something that is there once only.
     """
 
     # Of most requests most of these stay as they are.
     cancelled: bool = False
-    offered: bool = False
     waits: bool = False
     how: Outcome | None = None
     value: Any = None
@@ -279,7 +277,6 @@ class Request:
         if self.over:
             self._ledger.late_answers += error is None
         elif error is None:
-            self.offered = True
             self.end(Outcome.DELIVERED, value)
         elif type(error) is CircularRequestError and self.asker in error.path:
             # It waits for itself: told as plainly as to the one that closed the circle.
