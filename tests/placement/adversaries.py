@@ -40,8 +40,8 @@ def swallow(child: Any) -> None:
         end.recv(1 << 16)
 
 
-def call(child: Any, number: int, verb: str, *args: Any, busy: Any = 0.0) -> Item:
-    return Item(Op.CALL, number, verb, child.pack("x", (None, *args)), busy=busy)
+def call(child: Any, number: int, verb: str, *args: Any, worked: Any = 0.0) -> Item:
+    return Item(Op.CALL, number, verb, child.pack("x", (None, *args)), worked=worked)
 
 
 def wake(child: Any, when: float) -> None:
@@ -87,7 +87,7 @@ LIES: dict[str, Callable[[Any], object]] = {
         child, 20 * MANY, lambda number: Item(Op.DONE, 9 + number, "", b"")
     ),
     "busy for ever": lambda child: child.queue.append(
-        call(child, 9, "write :wheels", Twist(1.0, 1.0), busy=math.nan)
+        call(child, 9, "write :wheels", Twist(1.0, 1.0), worked=math.nan)
     ),
     "asks for ever": ask_for_ever,
     "long lists for ever": offer_for_ever,

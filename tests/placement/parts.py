@@ -441,8 +441,8 @@ class Liar(esair.Behavior):
         bad = {
             "verb": Item(Op.CALL, 9, "__class__", b""),
             "port": Item(Op.CALL, 9, "read :wheels", child.pack("x", ("nonsense",))),
-            "time": Item(Op.CALL, 9, "write :wheels", b"", busy=math.nan),
-            "early": Item(Op.CALL, 9, "write :wheels", b"", busy=-1.0),
+            "time": Item(Op.CALL, 9, "write :wheels", b"", worked=math.nan),
+            "early": Item(Op.CALL, 9, "write :wheels", b"", worked=-1.0),
             "method": Item(b"?", 9, "read :wheels", b"nonsense"),
             "private": Item(Op.CALL, 9, "next_order", child.pack("x", 1)),
         }

@@ -281,13 +281,13 @@ class Child(Exchange):
     ) -> int:
         if len(self.queue) >= ITEMS // 2:
             raise BusyError(self.name, "number of calls from its process", CALLS)
-        busy = time.monotonic() - self._heard
-        return self.ask(end, verb, args, options, scope.get(), busy)
+        worked = time.monotonic() - self._heard
+        return self.ask(end, verb, args, options, scope.get(), worked)
 
     # What the robot asks.
 
     def _take(self, item: Item) -> None:
-        op, number, verb, data, _, _ = item
+        op, number, verb, data, *_ = item
         if op == Op.DONE or op == Op.FAIL:
             self._news.pop(number, None)
             self.ended(number, *self.opened(item))

@@ -346,8 +346,8 @@ class Process(Exchange):
                 elif op == Op.CANCEL:
                     self.cancel(number)
                 elif op in {Op.DONE, Op.FAIL}:
-                    if item.busy and not self._door.holds:
-                        ended = self._clock() - (time.monotonic() - item.busy)
+                    if item.ended and not self._door.holds:
+                        ended = self._clock() - (time.monotonic() - item.ended)
                         value = stamped(value, ended, self._time())
                     self._told_to_end.discard(number)
                     self.scopes.pop(number, None)

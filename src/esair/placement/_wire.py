@@ -75,7 +75,7 @@ ASKED: Final = {"newest", "settings", "state", "max_age"}
 
 _FILE: Final = b"\0"
 _HEAD: Final = struct.Struct("<cd")
-_ITEM: Final = struct.Struct("<cqqdHI")
+_ITEM: Final = struct.Struct("<cqqddHI")
 _FILES: Final = socket.CMSG_SPACE(4 * 4)
 _CUT: Final = int(socket.MSG_TRUNC)  # hot
 _new = tuple.__new__  # hot
@@ -93,8 +93,9 @@ class Item(NamedTuple):
         verb: What is called; after a blank the port that is meant.
         data: Its arguments, if it has any, its value or its error, coded.
         scope: For which call of the robot a child makes this one.
-        busy: How long the child had worked when it made it, in seconds; of the end of what
-            measures, when that was on the computer's monotonic clock.
+        worked: How long the child had worked when it made this call, in seconds.
+        ended: When what measures has ended, on the computer's monotonic clock; 0 of all
+            else.
     """
 
     op: bytes
@@ -102,7 +103,8 @@ class Item(NamedTuple):
     verb: str
     data: bytes
     scope: int = 0
-    busy: float = 0.0
+    worked: float = 0.0
+    ended: float = 0.0
 
 
 class Wire:
@@ -128,9 +130,9 @@ class Wire:
             OSError: The other end is gone.
         """
         parts = [_HEAD.pack(kind, moment)]
-        for op, number, verb, coded, scope, busy in items:
+        for op, number, verb, coded, scope, worked, ended in items:
             name = verb.encode()
-            head = _ITEM.pack(op, number, scope, busy, len(name), len(coded))
+            head = _ITEM.pack(op, number, scope, worked, ended, len(name), len(coded))
             parts += head, name, coded
         data = b"".join(parts)
         if len(data) <= PACKET:
@@ -167,12 +169,15 @@ class Wire:
             place, end = _HEAD.size, len(data)
             self.size = end
             while place < end and len(items) <= ITEMS:
-                op, number, scope, busy, name, size = _ITEM.unpack_from(data, place)
+                op, number, scope, worked, ended, name, size = _ITEM.unpack_from(
+                    data, place
+                )
                 begin = place + _ITEM.size
                 value = begin + name
                 place = value + size
                 verb, coded = data[begin:value].decode(), data[value:place]
-                items.append(_new(Item, (op, number, verb, coded, scope, busy)))
+                item = op, number, verb, coded, scope, worked, ended
+                items.append(_new(Item, item))
         except (struct.error, UnicodeDecodeError):
             raise CodecError("it is no message") from None
         if place != end or len(items) > ITEMS:
@@ -242,7 +247,7 @@ class Exchange:
         args: tuple[Any, ...],
         options: dict[str, Any],
         scope: int = 0,
-        busy: float = 0.0,
+        worked: float = 0.0,
     ) -> int:
         """Call the other side; return the number of the call.
 
@@ -257,7 +262,7 @@ class Exchange:
             data = self.pack(verb, (options or None, *args))
         self.newest = number = self.newest + 1
         self.calls[number] = end
-        self.tell(_new(Item, (Op.CALL, number, verb, data, scope, busy)))
+        self.tell(_new(Item, (Op.CALL, number, verb, data, scope, worked, 0.0)))
         return number
 
     def tell(self, item: Item) -> None:
@@ -265,13 +270,13 @@ class Exchange:
         self.queue.append(item)
 
     def answer(
-        self, number: int, value: Any, error: BaseException | None, busy: float = 0.0
+        self, number: int, value: Any, error: BaseException | None, ended: float = 0.0
     ) -> None:
         """Tell the other side the end of its call."""
         if error is None:
             try:
                 data = b"" if value is None else self.pack("answer", value)
-                self.tell(Item(Op.DONE, number, "", data, 0, busy))
+                self.tell(Item(Op.DONE, number, "", data, ended=ended))
                 return
             except Exception as unfit:
                 error = unfit
@@ -283,12 +288,12 @@ class Exchange:
         task: Any,
         value: Any,
         error: BaseException | None,
-        busy: float = 0.0,
+        ended: float = 0.0,
     ) -> None:
         """The work on a call of the other side has ended."""
         self.owner.leave(task)
         if self.tasks.pop(number, None) is not None:
-            self.answer(number, value, error, busy)
+            self.answer(number, value, error, ended)
 
     def opened(self, item: Item) -> tuple[Any, BaseException | None]:
         """Return the value of an item, or the error that it is, or why it is none."""
