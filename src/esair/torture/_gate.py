@@ -9,7 +9,7 @@ import inspect
 import random
 import types
 from collections.abc import AsyncIterator, Callable, Coroutine, Generator, Iterator
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import attrs
 
@@ -25,6 +25,10 @@ from esair.torture._values import (
     same,
     wrong,
 )
+
+if TYPE_CHECKING:
+    from esair.torture._judge import Judge
+    from esair.torture._story import Step
 
 CALLS = ("open", "close", "identify", "apply", "is_set_up", "read", "write")
 """The methods of a driver that esair calls, beside ``stream`` and operations."""
@@ -43,16 +47,6 @@ class Told:
     safe: bool  # Whether it is the safe one, or to stay
     begun: float  # When the driver was called, in seconds of the loop's clock
     landed: float | None = None  # When the device had it; None if it never did
-
-
-class Watcher(Protocol):
-    """Who judges what a device is told."""
-
-    def begins(self, gate: Gate, told: Told) -> None:
-        """The driver is called with a command, at this moment."""
-
-    def lands(self, gate: Gate, told: Told) -> None:
-        """The device has it."""
 
 
 class UnprintableError(Exception):
@@ -92,17 +86,14 @@ def is_injected(error: BaseException) -> bool:
 
 
 class Gate:
-    """Every call of one driver passes here.
-
-    Each fault is a moment until which it lasts, on the loop's clock.
-    """
+    """Every call of one driver passes here."""
 
     def __init__(
         self,
         resource: Resource,
         loop: VirtualLoop,
         seed: int,
-        watcher: Watcher,
+        judge: Judge,
         *,
         alone: bool,
     ) -> None:
@@ -113,20 +104,16 @@ class Gate:
         # When it was taken away from the robot; None while it belongs to it
         self.left: float | None = None
         self.faulty: float = -1.0  # When its last fault is over
-        self.gone = self.silent = self.late = self.fails = -1.0
-        self.bad = self.frozen = self.flood = -1.0
+        # Until when each kind of fault lasts, on the loop's clock, and how it is
+        self.faults: dict[str, tuple[float, Step]] = {}
         self.deaf = self.unpowered = self._opens = False
         self.was_here: bool = False  # Whether its driver was ever called
         self.in_thread: bool = False  # Whether it is read or told in a thread
         self.speechless: str = ""  # Why a stand-in has nothing to say; empty if it has
-        self.before = self.after = 0.0
-        self.error = "OSError"
-        self.how_bad = "nan"
-        self.times = 1
         self._loop = loop
         self._dice = random.Random(f"{seed}/{resource.name}")
         self._moods = random.Random(seed)
-        self._watcher = watcher
+        self._judge = judge
         self._last: Any = None
         self._good: Any = None
         self._install(alone)
@@ -177,7 +164,7 @@ class Gate:
                 self._check(name)
                 result = await inner(*args, **options)
                 result = self._ended(name, told, result)
-                await self._wait(self._after())
+                await self._wait(self._late("after"))
                 self._returns(name, result)
                 return result
 
@@ -191,7 +178,7 @@ class Gate:
             self._sleep(self._pause())
             self._check(name)
             result = self._ended(name, told, inner(*args, **options))
-            self._sleep(self._after())
+            self._sleep(self._late("after"))
             self._returns(name, result)
             return result
 
@@ -223,9 +210,14 @@ class Gate:
         self._check("stream")
         value = self._reading(value)
         self._returns("stream", value)
-        return [value] * (self.times if self._loop.time() < self.flood else 1)
+        flood = self._fault("flooding")
+        return [value] * (int(flood.much) if flood else 1)
 
     # Faults.
+
+    def _fault(self, kind: str) -> Step | None:
+        until, step = self.faults.get(kind, (-1.0, None))
+        return step if self._loop.time() < until else None
 
     def _begins(self, name: str, args: tuple[Any, ...]) -> Told | None:
         self.was_here = True
@@ -233,13 +225,13 @@ class Gate:
             return None
         told = Told(args[0], self.is_safe(args[0]), self._loop.time())
         self.told.append(told)
-        self._watcher.begins(self, told)
+        self._judge.begins(self, told)
         return told
 
     def _ended(self, name: str, told: Told | None, result: Any) -> Any:
         if told is not None:
             told.landed = self._loop.time()
-            self._watcher.lands(self, told)
+            self._judge.lands(self, told)
         elif name == "read":
             return self._reading(result)
         elif name == "open":
@@ -250,28 +242,30 @@ class Gate:
 
     def _pause(self) -> float:
         """How long a call waits before the device has it, in seconds."""
-        now = self._loop.time()
-        late = self.before * self._moods.choice(MOODS) if now < self.late else 0.0
-        return max(late, self.silent - now)
+        silent = self.faults["silent"][0] if "silent" in self.faults else 0.0
+        late = self._late("before")
+        return max(
+            late * self._moods.choice(MOODS) if late else 0.0,
+            silent - self._loop.time(),
+        )
 
-    def _after(self) -> float:
-        return self.after if self._loop.time() < self.late else 0.0
+    def _late(self, how: str) -> float:
+        late = self._fault("late")
+        return late.much if late and late.how.startswith(how) else 0.0
 
     def _check(self, name: str) -> None:
         """Raise what the device's absence, or a fault of its driver, raises."""
-        now = self._loop.time()
-        if now < self.gone and name != "close":
+        if self._fault("unplugged") and name != "close":
             raise ConnectionResetError(104, "unplugged")
-        if now < self.fails:
-            raise injected(self.error)
+        if fails := self._fault("failing"):
+            raise injected(fails.how)
 
     def _reading(self, value: Any) -> Any:
-        now = self._loop.time()
-        if now < self.bad:
-            value = wrong(value, self.how_bad)
-            self._good = value if self.how_bad == "huge" else None
+        if bad := self._fault("wrong"):
+            value = wrong(value, bad.how)
+            self._good = value if bad.how == "huge" else None
             return value
-        if now < self.frozen:
+        if self._fault("stuck"):
             value = self._last
         self._last = self._good = value
         return value

@@ -21,6 +21,7 @@ from esair.torture._gate import ERRORS
 from esair.torture._values import WRONG, CannotMakeError, make
 
 if TYPE_CHECKING:
+    from esair.torture._gate import Gate
     from esair.torture._story import Step
     from esair.torture._world import World
 
@@ -127,73 +128,50 @@ def _writes(behavior: Behavior) -> bool:
 # Devices.
 
 
-def _until(world: World, step: Step, gate: Any, more: float = 0.0) -> float:
-    """Note until when a device is at fault; those behind it in the thread of its bus too."""
-    until = world.now + step.lasts
+def _fault(world: World, step: Step) -> Gate:
+    """Have a device at fault; those behind it in the thread of its bus wait for it."""
+    gate, until = world.gate(step.target), world.now + step.lasts
+    gate.faults[step.kind] = until, step
+    if step.kind in {"silent", "late"}:
+        gate.deaf = step.how.endswith("deaf")
+    bus, more = gate.resource.bus, 2 * step.much if step.kind == "late" else 0.0
     for each in world.gates:
-        shares = gate.in_thread and each.in_thread and gate.resource.bus is not None
-        if each is gate or (shares and each.resource.bus is gate.resource.bus):
+        shares = gate.in_thread and each.in_thread and bus is not None
+        if each is gate or (shares and each.resource.bus is bus):
             each.faulty = max(each.faulty, until + more)
-    return until
+    return gate
+
+
+def _faulty(name: str, on: str, **options: Any) -> None:
+    def do(world: World, step: Step) -> None:
+        _fault(world, step)
+
+    KINDS[name] = Kind(name, "device", on, do, **options)
 
 
 @_kind("device", "devices", lasts=LONG, hows=("", "unheard"), weight=2.0)
 def unplugged(world: World, step: Step) -> Callable[[], object] | None:
     """It is gone; ``unheard``: nobody reports it, its calls fail."""
-    gate = world.gate(step.target)
-    gate.gone = _until(world, step, gate)
+    gate = _fault(world, step)
     if step.how == "unheard":
         return None
     gate.resource.report_lost(ConnectionResetError(104, "unplugged"))
     return gate.resource.report_arrived
 
 
-@_kind("device", "devices", lasts=LONG, hows=("", "deaf"), weight=2.0)
-def silent(world: World, step: Step) -> None:
-    """It answers nothing; ``deaf``: its driver swallows every cancellation."""
-    gate = world.gate(step.target)
-    gate.silent = _until(world, step, gate)
-    gate.deaf = step.how == "deaf"
-
-
-@_kind(
-    "device",
-    "devices",
-    lasts=LONG,
-    hows=("before", "after", "before deaf", "after deaf"),
-    much=(0.01, 0.05, 0.3, 1.5),
-    weight=2.0,
+# It answers nothing; deaf: its driver swallows every cancellation.
+_faulty("silent", "devices", lasts=LONG, hows=("", "deaf"), weight=2.0)
+# Each call takes so long, before the device has it, or after.
+_LATE = ("before", "after", "before deaf", "after deaf")
+_faulty(
+    "late", "devices", lasts=LONG, hows=_LATE, much=(0.01, 0.05, 0.3, 1.5), weight=2.0
 )
-def late(world: World, step: Step) -> None:
-    """Each call takes so long, before the device has it, or after."""
-    gate = world.gate(step.target)
-    gate.late = _until(world, step, gate, 2 * step.much)
-    gate.before = step.much if step.how.startswith("before") else 0.0
-    gate.after = step.much - gate.before
-    gate.deaf = step.how.endswith("deaf")
-
-
-@_kind("device", "devices", lasts=SHORT, hows=tuple(ERRORS))
-def failing(world: World, step: Step) -> None:
-    """Each call of its driver raises."""
-    gate = world.gate(step.target)
-    gate.fails = _until(world, step, gate)
-    gate.error = step.how
-
-
-@_kind("device", "sensors", lasts=LONG, hows=WRONG)
-def wrong(world: World, step: Step) -> None:
-    """What it says is no good."""
-    gate = world.gate(step.target)
-    gate.bad = _until(world, step, gate)
-    gate.how_bad = step.how
-
-
-@_kind("device", "sensors", lasts=LONG)
-def stuck(world: World, step: Step) -> None:
-    """It says the same again and again."""
-    gate = world.gate(step.target)
-    gate.frozen = _until(world, step, gate)
+# Each call of its driver raises.
+_faulty("failing", "devices", lasts=SHORT, hows=tuple(ERRORS))
+# What it says is no good.
+_faulty("wrong", "sensors", lasts=LONG, hows=WRONG)
+# It says the same again and again.
+_faulty("stuck", "sensors", lasts=LONG)
 
 
 @_kind("device", "restartable", weight=0.5)
@@ -206,12 +184,8 @@ def power_cycled(world: World, step: Step) -> None:
         cycle()
 
 
-@_kind("device", "pushing", lasts=SHORT, much=(20.0, 200.0), weight=0.5)
-def flooding(world: World, step: Step) -> None:
-    """It pushes each value so often."""
-    gate = world.gate(step.target)
-    gate.flood = _until(world, step, gate)
-    gate.times = int(step.much)
+# It pushes each value so often.
+_faulty("flooding", "pushing", lasts=SHORT, much=(20.0, 200.0), weight=0.5)
 
 
 # Behaviors and reactions.
