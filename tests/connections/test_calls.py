@@ -194,6 +194,33 @@ async def test_a_motion_that_ends_amid_an_opening_is_followed_by_safe(
 
 
 @pytest.mark.promise("CALL-2", "AC-4", "ROB-2")
+@pytest.mark.parametrize("safe_takes", [0.0, 30.0])
+async def test_a_motion_that_ends_after_the_last_try_of_a_stop_is_no_answer(
+    user_of: Any, safe_takes: float
+) -> None:
+    """It lands between that and the report, which waits for another actuator."""
+    motor, other = Motor(0.9, deaf=True, name="motor"), Motor(0.0, name="other")
+    motor.deadline, other.deadline = 0.15, 2.0
+    user = user_of("user", motor=esair.writes(float))
+    robot = esair.Robot(resources=[motor, other], behaviors=[user])
+    async with robot:
+        writing = asyncio.create_task(user.motor.write(1.0))
+        await asyncio.sleep(0.01)
+        motor.report_lost(ConnectionResetError("unplugged"))
+        await asyncio.sleep(0.01)
+        other.safe_takes = 1.2
+        loop = asyncio.get_running_loop()
+        loop.call_at(0.85, lambda: setattr(motor, "safe_takes", safe_takes))
+    assert motor.landed[-2:] == ([1.0, 0.0] if not safe_takes else [0.0, 1.0])
+    told = next(each for each in robot.stopped if each.resource == "motor")
+    assert told.safe
+    assert told.answered is (not safe_takes)
+    with pytest.raises(esair.EsairError):
+        await writing
+    await asyncio.sleep(40.0)
+
+
+@pytest.mark.promise("CALL-2", "AC-4", "ROB-2")
 @pytest.mark.parametrize("takes", [0.61, 0.9, 1.17])
 @pytest.mark.parametrize("stops", [0.053, 0.2, 0.45])
 async def test_a_motion_that_ends_while_the_stop_waits_for_it_is_followed_by_safe(

@@ -71,9 +71,10 @@ class Told:
         error: Why its driver has not taken it, in words; empty if it has.
         at: When it was told something that nobody wrote: safe, or less by a guard.
         base: Where the device is, as far as it has said, while it was told to stay.
+        is_undone: A motion has ended since, which may have undone it.
     """
 
-    __slots__ = ("at", "base", "command", "error", "is_safe")
+    __slots__ = ("at", "base", "command", "error", "is_safe", "is_undone")
 
     def __init__(self) -> None:
         self.command: Any = None
@@ -81,6 +82,7 @@ class Told:
         self.error: str = "it was never told anything"
         self.at: float = 0.0
         self.base: Any = None
+        self.is_undone: bool = False
 
     @property
     def place(self) -> Any:
@@ -303,6 +305,8 @@ class Wire:
     def last_command(self) -> LastCommand:
         """Report what it was told, and whether that is what it does."""
         told, error = self.told, self.told.error
+        if told.is_undone and not error:
+            error = "a motion, begun before it, has ended after it"
         earlier = self.unsettled()
         if earlier is not None and not (error and earlier.kind == "safe"):
             error = f"{earlier}, begun before it, has not ended"
@@ -337,7 +341,6 @@ class SafeCommand:
         "_pulses",
         "_stays",
         "_task",
-        "_undone",
         "_wire",
         "state",
     )
@@ -371,8 +374,6 @@ class SafeCommand:
         self._number = 0  # of the newest call with the safe command, if that waits
         self._stays = False
         """What is on its way is to stay, because safe is a place to go."""
-        self._undone = False
-        """A motion has ended since, which may have undone it."""
 
     def make(self, *, stay: bool = False) -> asyncio.Task[bool]:
         """Send the safe command, before anything else; or have it stay where it is."""
@@ -396,7 +397,7 @@ class SafeCommand:
     def repeat(self) -> None:
         """Send it again: a motion has ended that may have undone it."""
         device, wire = self._device, self._wire
-        self._undone = True
+        wire.told.is_undone = True
         if self._task is None and device.state is ResourceState.READY:
             self.make(stay=wire.told.command is HOLD)
             return
@@ -538,7 +539,7 @@ class SafeCommand:
         told.at = device.time()
         told.is_safe = command is actuator.safe
         told.error = NOT_YET
-        self._number, self._undone = calls.number + 1, False
+        self._number, told.is_undone = calls.number + 1, False
         opening = calls.opening
         limit = limit or actuator.deadline
         applied = calls.begin("safe", wire.method, (command,), limit)
@@ -598,6 +599,6 @@ class SafeCommand:
 
     async def at_last(self, within: float) -> None:
         """Send it to a device that is closed now, if a motion has ended after it."""
-        if self._undone:
+        if self._wire.told.is_undone:
             with contextlib.suppress(Exception):  # it may be gone, or not obey
                 await self._tell(min(within, self.turn_within))

@@ -473,6 +473,9 @@ class ResourceLife:
             channel.not_told(DriverStuckError(name, "open", seconds))
         elif (error := trying.result()) is not None:
             channel.not_told(error)
+        else:
+            await self.device.calls.quiet(until)
+            await channel.safe.at_last(until - self._loop.time())
 
     async def _open_once(self, patience: float) -> BaseException | None:
         await self.device.close()
