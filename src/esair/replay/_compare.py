@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Iterable
-from typing import Any, Protocol
+from collections.abc import Callable, Generator, Iterable
+from pathlib import Path
+from typing import Any
 
 import attrs
 
+from esair.codec import Kinds
+from esair.exceptions import RecordingBrokenError
 from esair.journal import Event, Kind
-from esair.recording import Recorded, plain
+from esair.loop import Player
+from esair.recording import Kept, Recorded, chunks_of, events_of, plain
 
 NOT_COMPARED = {Kind.LOG}  # What a robot says is no decision
 
@@ -46,51 +51,49 @@ class Divergence:
     readings: tuple[Seen, ...]
 
 
-class Span(Protocol):
-    """How long a recorded run is, which is read while it is repeated."""
-
-    began: float
-    moment: float
-    turns: int
-
-    def reaches(self, moment: float) -> bool:
-        """Tell whether it has a turn at a moment or later."""
-
-
 class Comparison:
     """Compares the events of a replay with recorded ones, in their order.
 
     Args:
-        recorded: What was recorded, in its order.
-        span: How long the run took.
-        whole: Tells whether the recording has an end: else what comes after it is no
+        path: The recording.
+        whole: Whether it has an end, and lacks nothing: else what comes after it is no
             news.
-        turn_of: Finds the turn of a moment.
-        diverged: Called once, with the first difference.
+        kept: Its turns, where they are played.
+        player: What plays them.
+        diverged: Called once, when there is a difference.
     """
 
     def __init__(
         self,
-        recorded: Iterable[Recorded],
-        span: Span,
+        path: Path,
         *,
-        whole: Callable[[], bool],
-        turn_of: Callable[[float], int],
-        diverged: Callable[[Divergence], object],
+        whole: bool,
+        kept: Kept | None,
+        player: Player | None,
+        diverged: Callable[[], object],
     ) -> None:
-        self._events = iter(recorded)
+        self._path = path
+        self._events = events_of(path)
         self.lost: int = 0
         """How many events were not recorded, in the first gap; it ends there."""
         self._number = 0
-        self._span = span
+        self.span: Player | Span = Span(path) if player is None else player
+        """How long the recorded run is, which is read while it is repeated."""
         self._whole = whole
-        self._turn_of = turn_of
+        self._kept = kept
         self._diverged = diverged
         self._newest: dict[str, Seen] = {}
         self._reads: dict[str, list[str]] = {}
         self.equal: int = 0
         """How many events were equal."""
+        self.divergence: Divergence | None = None
         self.is_over: bool = False
+
+    def close(self) -> None:
+        """Read no further: else files are open until a collection."""
+        self._events.close()
+        if isinstance(self.span, Span):
+            self.span.close()
 
     def hear(self, event: Event) -> None:
         """Compare what has happened now; a listener of the journal."""
@@ -110,7 +113,7 @@ class Comparison:
         if self.is_over:
             return
         if expected is None:
-            if self._whole() and self._span.reaches(event.time):
+            if self._is_whole() and self.span.reaches(event.time):
                 self._tell(None, actual)
             self.is_over = True
             return
@@ -127,9 +130,16 @@ class Comparison:
         expected = self._next()
         if not self.is_over and expected is not None:
             later = math.nextafter(expected.time, math.inf)
-            if self._span.reaches(later):
+            if self.span.reaches(later):
                 self._tell(expected, None)
         self.is_over = True
+
+    def _is_whole(self) -> bool:
+        """Tell whether nothing is lacking, in the turns either: those are wound on."""
+        if self._whole and self._kept is not None:
+            self.span.reaches(math.inf)
+            return self._kept.spoiled is None
+        return self._whole
 
     def _next(self) -> Recorded | None:
         for event in self._events:
@@ -162,15 +172,54 @@ class Comparison:
         wanted = [name for name in self._reads.get(who, ()) if name in self._newest]
         readings = tuple(self._newest[name] for name in wanted or sorted(self._newest))
         turn = self._turn_of(first.time)
-        seconds = first.time - self._span.began
-        self._diverged(Divergence(turn, seconds, who, expected, actual, readings))
+        seconds = first.time - self.span.began
+        self.divergence = Divergence(turn, seconds, who, expected, actual, readings)
+        self._diverged()
+
+    def _turn_of(self, moment: float) -> int:
+        """Return the number of the turn at a moment; the recording is read again."""
+        moments: Iterable[float] = _moments_of_events(self._path)
+        if self._kept is not None:
+            kept = Kept(self._path, chunks_of(self._path), Kinds())
+            moments = (item for item in kept if type(item) is float)
+        with contextlib.suppress(RecordingBrokenError):  # it is told elsewhere
+            for turn, each in enumerate(moments):
+                if each >= moment:
+                    return turn if each == moment else -1
+        return -1
+
+
+class Span:
+    """How long a run took that is known by its events alone."""
+
+    def __init__(self, path: Path) -> None:
+        self._moments = _moments_of_events(path)
+        self.began = self.moment = next(self._moments, 0.0)
+        self.turns = 1
+
+    def close(self) -> None:
+        self._moments.close()
+
+    def reaches(self, moment: float) -> bool:
+        """Tell whether something has happened at a moment or later."""
+        while self.moment < moment:
+            following = next(self._moments, None)
+            if following is None:
+                return False
+            self.moment = following
+            self.turns += 1
+        return True
+
+
+def _moments_of_events(path: Path) -> Generator[float, None, None]:
+    """Yield when something has happened, each moment once."""
+    last: float | None = None
+    for event in events_of(path):
+        if last is None or event.time > last:
+            yield event.time
+            last = event.time
 
 
 def _same(one: Recorded, other: Recorded) -> bool:
-    return (
-        one.kind == other.kind
-        and one.component == other.component
-        and one.peer == other.peer
-        and one.time == other.time
-        and one.value == other.value
-    )
+    """Tell whether two events are, but for their numbers and their words."""
+    return one._replace(number=0, text="") == other._replace(number=0, text="")

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
-import math
 import time
-from collections.abc import Callable, Coroutine, Generator, Iterable
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
 import attrs
 
-from esair.codec import Kinds, kinds_of
+from esair.codec import kinds_of
 from esair.exceptions import RecordingBrokenError, describe
 from esair.loop import Player, TurnLoop, run_and_end
 from esair.messages import is_placed
-from esair.recording import GIVEN, Kept, chunks_of, events_of, facts_of
-from esair.replay._compare import Comparison, Divergence, Span
+from esair.recording import GIVEN, Kept, chunks_of, facts_of
+from esair.replay._compare import Comparison, Divergence
 from esair.standard import (
     FORMAT,
     Robot,
@@ -162,24 +160,19 @@ class Replay:
         """
         kept: Kept | None = None
         player: Player | None = None
-        span: Span
-        chunks: Generator[bytes, None, None] | _Events
+        has_end = "end" in self.facts
+        chunks = chunks_of(self.path)
         if loop is None:
             kinds = kinds_of(lambda: components_of(robot), GIVEN)
-            chunks = chunks_of(self.path)
-            kept = Kept(self.path, chunks, kinds, whole="end" in self.facts)
-            span = player = Player(kept, read=kept.read)
+            kept = Kept(self.path, chunks, kinds, whole=has_end)
+            player = Player(kept, read=kept.read)
             if player.error is not None:
                 raise player.error
             loop = TurnLoop(player=player)
-        else:
-            span = chunks = _Events(self.path)
-        found: list[Divergence] = []
         refused: list[BaseException] = []
         task: asyncio.Task[None]
 
-        def diverged(divergence: Divergence) -> None:
-            found.append(divergence)
+        def diverged() -> None:
             loop.call_soon(over if player is None else player.end)
 
         is_over = False
@@ -190,17 +183,11 @@ class Replay:
             comparison.end()
             task.cancel()
 
-        def whole() -> bool:
-            if "end" not in self.facts or self._dropped:
-                return False
-            return kept is None or not _spoiled(kept, player)
-
-        events = events_of(self.path)
         comparison = Comparison(
-            events,
-            span,
-            whole=whole,
-            turn_of=lambda moment: self._turn_of(moment, has_tape=player is not None),
+            self.path,
+            whole=has_end and not self._dropped,
+            kept=kept,
+            player=player,
             diverged=diverged,
         )
         self._place(robot)
@@ -217,7 +204,7 @@ class Replay:
             except BaseException as error:
                 # The end of the recorded run, which a signal may have brought; or the
                 # robot of today cannot start.
-                if not (comparison.equal or found or is_over):
+                if not (comparison.equal or comparison.divergence or is_over):
                     refused.append(error)
 
         async def main() -> None:
@@ -232,22 +219,26 @@ class Replay:
         try:
             run_and_end(main(), lambda: loop)
         finally:
-            for each in (events, chunks):  # else they are open until a collection
-                each.close()
+            comparison.close()
+            chunks.close()
         for error in refused:
             raise error
-        if player is not None and player.error is not None and not found:
+        if (
+            player is not None
+            and player.error is not None
+            and not comparison.divergence
+        ):
             raise player.error
-        lost = comparison.lost or self._dropped
+        span, lost = comparison.span, comparison.lost or self._dropped
         short = (kept and kept.spoiled) or ""
         if not short and lost:
             short = f"{lost} events were not recorded"
-        if not short and "end" not in self.facts:
+        if not short and not has_end:
             short = "it has no end: what came last may be missing"
         return Outcome(
             equal=comparison.equal,
-            divergence=found[0] if found else None,
-            turns=span.turns if player is None else player.turns,
+            divergence=comparison.divergence,
+            turns=span.turns,
             seconds=span.moment - span.began,
             took=time.monotonic() - began,
             short=short,
@@ -259,57 +250,6 @@ class Replay:
         """How many events the recorder says that it has dropped."""
         told = self.facts.get("end", {}).get("dropped", "")
         return int(told) if told.isdecimal() and len(told) < 20 else 0
-
-    def _turn_of(self, moment: float, *, has_tape: bool) -> int:
-        """Return the number of the turn at a moment; the recording is read again."""
-        moments: Iterable[float] = _moments_of_events(self.path)
-        if has_tape:
-            kept = Kept(self.path, chunks_of(self.path), Kinds())
-            moments = (item for item in kept if type(item) is float)
-        with contextlib.suppress(RecordingBrokenError):  # it is told elsewhere
-            for turn, each in enumerate(moments):
-                if each >= moment:
-                    return turn if each == moment else -1
-        return -1
-
-
-class _Events:
-    """How long a run took that is known by its events alone."""
-
-    def __init__(self, path: Path) -> None:
-        self._moments = _moments_of_events(path)
-        self.began = self.moment = next(self._moments, 0.0)
-        self.turns = 1
-
-    def close(self) -> None:
-        """Read no further."""
-        self._moments.close()
-
-    def reaches(self, moment: float) -> bool:
-        """Tell whether something has happened at a moment or later."""
-        while self.moment < moment:
-            following = next(self._moments, None)
-            if following is None:
-                return False
-            self.moment = following
-            self.turns += 1
-        return True
-
-
-def _moments_of_events(path: Path) -> Generator[float, None, None]:
-    """Yield when something has happened, each moment once."""
-    last: float | None = None
-    for event in events_of(path):
-        if last is None or event.time > last:
-            yield event.time
-            last = event.time
-
-
-def _spoiled(kept: Kept, player: Player | None) -> bool:
-    """Tell whether the turns end before the run did; they are wound on to their end."""
-    if player is not None:
-        player.reaches(math.inf)
-    return kept.spoiled is not None
 
 
 def number_of(told: Any) -> float:
