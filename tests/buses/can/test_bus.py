@@ -27,6 +27,7 @@ from esair.exceptions import (
     DeviceLostError,
     DriverStuckError,
 )
+from esair.loop import COMMAND, OPENING, SAFE, Urgency, urgency
 from esair.testing import FakeCan, VirtualLoop
 
 pytestmark = pytest.mark.virtual_clock
@@ -544,6 +545,44 @@ async def test_a_frame_that_found_no_room_does_not_follow_a_newer_one(
     with pytest.raises(BusyError):
         await older
     assert [frame.data for frame in link.sent] == [b"new"]
+
+
+@pytest.mark.promise("BUS-5", "ROB-2")
+async def test_what_is_urgent_gets_the_first_room(link: Link, bus: CanBus) -> None:
+    """What makes safe goes first, then an opening, then commands and polls by turns."""
+    await bus.open()
+    link.full = 4
+    polls, commands = Urgency(), Urgency(COMMAND)
+    opening, safe = Urgency(COMMAND + OPENING), Urgency(COMMAND + SAFE)
+    asked = [polls, polls, commands, commands, opening, safe, polls]
+
+    async def send(number: int, urgent: Urgency) -> None:
+        urgency.set(urgent)
+        await bus.send(number, b"")
+
+    await asyncio.gather(*(send(number, each) for number, each in enumerate(asked)))
+
+    assert [frame.id for frame in link.sent] == [5, 4, 2, 0, 3, 1, 6]
+
+
+async def test_a_frame_may_become_urgent_while_it_waits(
+    link: Link, bus: CanBus
+) -> None:
+    """Its actuator is made safe: that counts for what it has asked before, too."""
+    await bus.open()
+    link.full = 3
+    late = Urgency(COMMAND)
+
+    async def send(number: int, urgent: Urgency) -> None:
+        urgency.set(urgent)
+        await bus.send(number, b"")
+
+    sending = asyncio.gather(send(1, Urgency()), send(2, Urgency()), send(3, late))
+    await asyncio.sleep(0.001)
+    with late.raised(SAFE):
+        await sending
+
+    assert [frame.id for frame in link.sent] == [3, 1, 2]
 
 
 async def test_only_so_many_frames_wait(link: Link, bus: CanBus) -> None:

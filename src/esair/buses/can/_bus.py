@@ -37,6 +37,7 @@ from esair.exceptions import (
     EsairError,
     describe,
 )
+from esair.loop import Turns, Urgency, urgency, wake
 from esair.values import check_choice, check_duration
 from esair.watchdog import Outlet
 
@@ -95,19 +96,23 @@ WAITING_LIMIT = 256
 
 
 class Outbox:
-    """Frames on their way to the controller; those with one id keep their order."""
+    """Frames on their way to the controller; those with one id keep their order.
+
+    If there is no room the most urgent one is offered again, the others behind it.
+    """
 
     def __init__(self, name: str, stats: BusStats) -> None:
         self.link: FrameLink | None = None
         """The node that takes them; what waits for room for another one is lost."""
         self._name = name
         self._stats = stats
-        self._lines: dict[int, list[_Waiting]] = {}
+        self._line: list[_Waiting] = []
+        self._turns = Turns()
 
     @property
     def waiting(self) -> int:
         """How many are on their way."""
-        return sum(map(len, self._lines.values()))
+        return len(self._line)
 
     async def send(
         self, key: int, frame: Frame, seconds: float, replaces: Hashable | None
@@ -115,33 +120,33 @@ class Outbox:
         """Offer a frame until there is room; tells whether there was in time."""
         link = self.link
         assert link is not None
-        mine = _Waiting(replaces)
-        line = self._lines.setdefault(key, [])
-        for older in line if replaces is not None else ():
-            if older.replaces == replaces:
+        mine = _Waiting(key, replaces, urgency.get())
+        for older in self._line if replaces is not None else ():
+            if (older.key, older.replaces) == (key, replaces):
                 older.is_obsolete = True
-                older.wake()
-        line.append(mine)
+                wake(older.woken)
+        self._line.append(mine)
         try:
-            if line[0] is mine and await link.send(frame, seconds):
+            if self._first() is mine and await link.send(frame, seconds):
                 return True
-            return await self._again(link, frame, seconds, mine, line)
+            return await self._again(link, frame, seconds, mine)
         finally:
-            line.remove(mine)
-            if line:
-                line[0].wake()
-            else:
-                del self._lines[key]
+            self._line.remove(mine)
+            if self._line:
+                wake(self._first().woken)
+
+    def _first(self) -> _Waiting:
+        """Return the most urgent one of those that are the first with their ids."""
+        line = self._line
+        if len(line) == 1:
+            return line[0]
+        firsts = {each.key: each for each in reversed(line)}
+        return min(reversed(firsts.values()), key=self._turns.rank)
 
     async def _again(
-        self,
-        link: FrameLink,
-        frame: Frame,
-        seconds: float,
-        mine: _Waiting,
-        line: list[_Waiting],
+        self, link: FrameLink, frame: Frame, seconds: float, mine: _Waiting
     ) -> bool:
-        if self.waiting > WAITING_LIMIT:
+        if not self._turns.has_room(len(self._line) - 1, WAITING_LIMIT, mine.urgency):
             raise BusyError(
                 f"bus {self._name}", "number of waiting frames", WAITING_LIMIT
             )
@@ -153,18 +158,23 @@ class Outbox:
                 raise BusyError(
                     f"bus {self._name}", f"frames waiting with id {frame.id:#x}", 1
                 )
-            is_first = line[0] is mine
-            await mine.pause(min(pause, left) if is_first else left)
+            first = self._first()
+            if first is not mine:
+                wake(first.woken)  # it may be the first since this moment
+            mine.woken = loop.create_future()
+            with contextlib.suppress(TimeoutError):
+                await within(mine.woken, min(pause, left) if first is mine else left)
             if self.link is not link:
                 raise DeviceLostError(
                     self._name, "the bus was lost while a frame waited"
                 )
             left = give_up - loop.time()
-            if mine.is_obsolete or line[0] is not mine or left <= 0:
+            if mine.is_obsolete or self._first() is not mine or left <= 0:
                 continue
             pause = min(2 * pause, LONGEST_RETRY_PERIOD)
             self._stats.retries += 1
             if await link.send(frame, max(RETRY_PERIOD, left)):
+                self._turns.taken(mine)
                 return True
         return False
 
@@ -173,19 +183,11 @@ class Outbox:
 class _Waiting:
     """A frame on its way, until it is sent or a newer one makes it obsolete."""
 
+    key: int
     replaces: Hashable | None
+    urgency: Urgency
     is_obsolete: bool = False
-    _woken: asyncio.Future[None] | None = None
-
-    def wake(self) -> None:
-        if self._woken is not None and not self._woken.done():
-            self._woken.set_result(None)
-
-    async def pause(self, seconds: float) -> None:
-        self._woken = asyncio.get_running_loop().create_future()
-        with contextlib.suppress(TimeoutError):
-            await within(self._woken, seconds)
-        self._woken = None
+    woken: asyncio.Future[None] | None = None
 
 
 _DATA = FrameKind.DATA
