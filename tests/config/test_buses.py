@@ -3,6 +3,7 @@
 import pytest
 
 from esair import buses, config
+from esair.buses.serial import _ports
 from esair.exceptions import ConfigError
 
 
@@ -85,3 +86,41 @@ def test_a_bus_class_of_ones_own_must_be_a_bus(project) -> None:
     (error,) = caught.value.exceptions
     assert isinstance(error, ConfigError)
     assert "expected a Bus" in str(error)
+
+
+@pytest.mark.parametrize("second", ["usb:0403:6001", "{link}", "{port}"])
+def test_a_port_has_one_bus(project, tmp_path, monkeypatch, second) -> None:
+    """However it is written, if it is the same device file now."""
+    port, link = tmp_path / "ttyUSB7", tmp_path / "by-id"
+    port.touch()
+    link.symlink_to(port)
+    monkeypatch.setattr(_ports, "find_port", lambda _identity: str(link))
+    text = '[bus.{}]\ntype = "serial"\nport = "{}"\n'
+    named = second.format(link=link, port=port)
+    both = text.format("a", port) + text.format("b", named)
+
+    with pytest.raises(ExceptionGroup) as caught:
+        config.load(project.write(both))
+
+    (mistake,) = caught.value.exceptions
+    assert str(mistake).endswith(
+        f"bus.b.port: {port} belongs to the bus 'a': a port has one bus"
+    )
+
+
+def test_ports_that_are_not_there_are_told_apart_by_their_names(
+    project, monkeypatch
+) -> None:
+    """Nobody knows which they will be; and each URL is a line of its own."""
+
+    def find(identity: str) -> str:
+        raise ConnectionError(f"{identity} is not there")
+
+    monkeypatch.setattr(_ports, "find_port", find)
+    ports = ["usb:0403:6001", "usb:2e8a:0005", "loop://", "loop://", "/dev/none"]
+    tables = [
+        f'[bus.b{n}]\ntype = "serial"\nport = "{port}"\n'
+        for n, port in enumerate(ports)
+    ]
+
+    assert len(config.load(project.write("".join(tables))).buses) == len(ports)

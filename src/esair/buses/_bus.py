@@ -267,6 +267,10 @@ class Bus(abc.ABC):
         """How much waits to be sent: bytes, frames or calls."""
         return self.executor.waiting
 
+    def alone_at(self) -> str | None:
+        """Return what no other bus can have now; None if there is no such thing. Blocks."""
+        return None
+
     def seconds_for(self, traffic: int) -> float:
         """Return how long so many bytes of one device keep the wire; 0 if not known."""
         return 0.0

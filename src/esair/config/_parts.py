@@ -51,6 +51,7 @@ def make_draft(source: Source, *, simulated: bool, robot_class: type) -> Draft:
     ros = read_ros(draft)
     for name, table in named_tables(source, "bus"):
         draft.parts.append(Part("bus", name, make_bus(draft, name, table)))
+    _refuse_shared_ports(draft)
     if peers is not None:
         add_buses(draft, "network", peers.names, peers.network)
     if ros is not None:
@@ -74,6 +75,17 @@ def make_draft(source: Source, *, simulated: bool, robot_class: type) -> Draft:
     if sound:
         draft.robot["modes"] = sound
     return draft
+
+
+def _refuse_shared_ports(draft: Draft) -> None:
+    """Note each bus that could not be opened beside another one of the file."""
+    owners: dict[str, str] = {}
+    for part in draft.parts:
+        place = None if part.made is None else part.made.alone_at()
+        owner = part.name if place is None else owners.setdefault(place, part.name)
+        if owner != part.name:
+            told = f"{place} belongs to the bus {owner!r}: a port has one bus"
+            draft.source.mistakes.add(below(part.key, "port"), told)
 
 
 def _read_robot(source: Source, robot_class: type) -> dict[str, Any]:

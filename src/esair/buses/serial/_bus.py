@@ -6,6 +6,7 @@ import asyncio
 import functools
 import inspect
 import logging
+import os
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -196,6 +197,16 @@ class SerialBus(Bus):
     def waiting(self) -> int:
         """How many bytes wait to be sent."""
         return 0 if self._line is None else self._line.link.get_write_buffer_size()
+
+    def alone_at(self) -> str | None:
+        """Return its device file, however it is named; its name if it is not there."""
+        place = SerialPlace(self.name, self.port) if self._wire is None else None
+        if place is None or place.is_url:
+            return None
+        try:
+            return os.path.realpath(place.find())
+        except ConnectionError:
+            return self.port
 
     def seconds_for(self, traffic: int) -> float:
         """Return how long so many bytes take, with a start and a stop bit each."""
