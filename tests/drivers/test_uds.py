@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import itertools
 import threading
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -262,3 +264,17 @@ async def test_long_requests_are_cut_and_go_their_own_way(
     assert answers == [b"\x6e\x01\x23"] * 5
     await link.leave("me")
     await wire.close()
+
+
+async def test_a_bus_that_nobody_has_is_forgotten_with_what_its_devices_shared() -> (
+    None
+):
+    """A robot that is made anew again and again keeps no bus of a former one."""
+    wire = FakeCan("drive")
+    UdsActuator(identifier=1, layout="B", safe=0.0, bus=wire)
+    kept = weakref.ref(wire)
+
+    del wire
+    gc.collect()
+
+    assert kept() is None

@@ -116,6 +116,8 @@ class Bus(abc.ABC):
         self._opening: asyncio.Task[None] | None = None
         self._closing: asyncio.Future[None] | None = None
         self._letting_go: asyncio.Task[None] | None = None
+        self.shared: dict[type, dict[Any, Any]] = {}
+        """What devices on the bus share, by its kind and a key of theirs."""
         self._on_lost: list[Callable[[BaseException], None]] = []
         self._on_arrival: list[Callable[[], None]] = []
         self._waits: list[asyncio.Timeout] = []

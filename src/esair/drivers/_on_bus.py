@@ -6,7 +6,6 @@ Which kind of bus that is says the annotation ``bus:`` of a class, and the ruleb
 from __future__ import annotations
 
 import asyncio
-import weakref
 from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import Any, TypeVar
 
@@ -18,24 +17,17 @@ from esair.resources import Resource
 
 T = TypeVar("T")
 
-_shared: weakref.WeakKeyDictionary[Bus, dict[type, dict[Any, Any]]] = (
-    weakref.WeakKeyDictionary()
-)
-
 
 def shared(bus: Bus, kind: type[T]) -> dict[Any, T]:
-    """Return what devices on a bus share, of one kind, by a key of theirs.
-
-    It is there as long as the bus, so it has to hold that weakly.
-    """
-    return _shared.setdefault(bus, {}).setdefault(kind, {})
+    """Return what devices on a bus share, of one kind, by a key of theirs."""
+    return bus.shared.setdefault(kind, {})
 
 
 class SharedTask:
     """A task on a bus, which runs while at least one device needs it."""
 
     def __init__(self, bus: Bus) -> None:
-        self._bus = weakref.ref(bus)
+        self._bus: Any = bus
         self._users: dict[Any, None] = {}
         self._task: asyncio.Task[None] | None = None
 
@@ -44,9 +36,7 @@ class SharedTask:
         self._users[user] = None
         if self._task is not None and not self._task.done():
             return False
-        bus = self._bus()
-        assert bus is not None  # who joins holds it
-        name = f"{bus.name} {type(self).__name__.lstrip('_').lower()}"
+        name = f"{self._bus.name} {type(self).__name__.lstrip('_').lower()}"
         self._task = spawn(asyncio.get_running_loop(), run(), name=name)
         # Its error is the bus's, which tells everybody on it.
         self._task.add_done_callback(lambda done: done.cancelled() or done.exception())

@@ -9,7 +9,6 @@ import contextlib
 import logging
 import struct
 import threading
-import weakref
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple, Required, TypedDict, TypeVar
 
@@ -155,7 +154,7 @@ class CanopenNetwork(canopen.Network):
     def __init__(self, bus: CanBus) -> None:
         super().__init__()
         self.executor: Executor = Executor(f"{bus.name}_canopen")
-        self._can = weakref.ref(bus)
+        self._can = bus
         self._loop = asyncio.get_running_loop()
 
     def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
@@ -165,11 +164,10 @@ class CanopenNetwork(canopen.Network):
             DeviceLostError: The bus is gone.
             DriverStuckError: There was no room in time.
         """
-        bus = self._can()
-        if remote or bus is None:
+        if remote:
             raise DeviceFaultError("canopen", "remote frames are not sent")
         sending = asyncio.run_coroutine_threadsafe(
-            bus.send(
+            self._can.send(
                 can_id, bytes(data), extended=can_id > 0x7FF, timeout=SEND_TIMEOUT
             ),
             self._loop,
@@ -181,7 +179,7 @@ class CanopenNetwork(canopen.Network):
             if isinstance(error, DriverStuckError):
                 raise
             raise DriverStuckError(
-                bus.name, "send", SEND_TIMEOUT + LOOP_TIMEOUT
+                self._can.name, "send", SEND_TIMEOUT + LOOP_TIMEOUT
             ) from None
 
     def send_periodic(self, *_: Any, **__: Any) -> Any:

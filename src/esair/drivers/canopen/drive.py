@@ -188,23 +188,20 @@ class Sync(SharedTask):
 
     async def leave(self, device: Resource) -> None:
         """Produce for a device no more; after the last one any period will do."""
-        bus = self._bus()
-        if bus is not None and self._users.keys() <= {device}:
-            shared(bus, Sync).pop(SYNC, None)
+        if self._users.keys() <= {device}:
+            shared(self._bus, Sync).pop(SYNC, None)
         await super().leave(device)
 
     async def _send(self) -> None:
         loop = asyncio.get_running_loop()
         due = loop.time()
-        while (bus := self._bus()) is not None:
-            assert isinstance(bus, CanBus)
+        while True:
             try:
-                await bus.send(SYNC, b"", replaces=True, timeout=self.period)
+                await self._bus.send(SYNC, b"", replaces=True, timeout=self.period)
             except DeviceLostError:
                 return
             except (BusyError, DeviceFaultError, DriverStuckError):
                 pass  # the next one comes soon; the bus counts
-            del bus
             due = max(due + self.period, loop.time())
             await asyncio.sleep(due - loop.time())
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import weakref
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -67,7 +66,7 @@ def ids_from(component: str, message: Message, source: Source) -> Ids:
     if source is None and not is_j1939(message):
         return int(message.frame_id)
     counts = 0x1FFF_FFFF & ~PRIORITY & ~SOURCE
-    if _is_to_one(message):
+    if is_to_one(message.frame_id):
         counts &= ~SPECIFIC  # whoever it is for
     if source is None or source == "any":
         _check_extended(component, "source", message)
@@ -84,17 +83,13 @@ def id_to(
     if source is not None:
         number = _with(component, "source", message, source, SOURCE)
     if destination is not None:
-        if not _is_to_one(message):
+        if not is_to_one(message.frame_id):
             raise ConfigError(
                 component, "destination", f"{message.name} is for all nodes"
             )
         with_it = _with(component, "destination", message, destination, SPECIFIC)
         number = number & ~SPECIFIC | with_it & SPECIFIC
     return number
-
-
-def _is_to_one(message: Message) -> bool:
-    return bool(message.frame_id >> 16 & 0xFF < BROADCAST_FORMATS)
 
 
 def _with(component: str, field: str, message: Message, address: Any, bits: int) -> int:
@@ -272,9 +267,8 @@ class Claim(SharedTask):
 
     async def _run(self) -> None:
         try:
-            with self._there().frames(
-                CLAIMS, REQUESTS, extended=True, limit=256
-            ) as inbox:
+            frames = self._bus.frames
+            with frames(CLAIMS, REQUESTS, extended=True, limit=256) as inbox:
                 while True:
                     await self._hold(self._next, inbox)
         except EsairError as error:
@@ -352,15 +346,8 @@ class Claim(SharedTask):
                 lost(error)
 
     async def _say(self, address: int) -> None:
-        await self._there().send(
-            CLAIM | address, self.name.to_bytes(8, "little"), extended=True
-        )
-
-    def _there(self) -> CanBus:
-        bus = self._bus()
-        if not isinstance(bus, CanBus):
-            raise DeviceLostError("J1939", "the bus is no more")
-        return bus
+        name = self.name.to_bytes(8, "little")
+        await self._bus.send(CLAIM | address, name, extended=True)
 
 
 def asks_for_claims(frame: Frame, address: int) -> bool:
@@ -415,47 +402,68 @@ def seconds_for(size: int, frame_id: int) -> float:
     return 2 * ANSWER + count * 0.01
 
 
+def is_to_one(frame_id: int) -> bool:
+    """Whether a message is for one node."""
+    return bool(frame_id >> 16 & 0xFF < BROADCAST_FORMATS)
+
+
 def destination_of(frame_id: int) -> int:
     """Return the address that a message is for."""
-    is_to_one = frame_id >> 16 & 0xFF < BROADCAST_FORMATS
-    return frame_id >> 8 & 0xFF if is_to_one else ALL
+    return frame_id >> 8 & 0xFF if is_to_one(frame_id) else ALL
 
 
-class Sender:
-    """Sends messages from one address to one other, or to all; one after the other."""
+async def send_in_packets(bus: CanBus, frame_id: int, data: bytes) -> None:
+    """Send a message of more than 8 bytes, by the id that it would have as one frame.
 
-    def __init__(self, bus: CanBus) -> None:
-        self._bus = weakref.ref(bus)
-        self._exchanges = Exchanges(bus)
-
-    async def send(self, frame_id: int, data: bytes) -> None:
-        """Send a message, by the id that it would have as one frame."""
-        destination = destination_of(frame_id)
-        time = 2 * seconds_for(len(data), frame_id)
-        async with self._exchanges.request(timeout=time) as exchange:
-            exchange.name = f"answer to a message of {len(data)} bytes"
-            if destination == ALL:
-                exchange.end()
-                await self._announce(frame_id, data)
-                return
+    Between two addresses one at a time.
+    """
+    assert SIZE < len(data) <= MOST
+    destination = destination_of(frame_id)
+    ends = frame_id & SOURCE, destination
+    exchanges = shared(bus, Exchanges).setdefault(ends, Exchanges(bus))
+    time = 2 * seconds_for(len(data), frame_id)
+    async with exchanges.request(timeout=time) as exchange:
+        exchange.name = f"answer to a message of {len(data)} bytes"
+        sending = _Sending(bus, frame_id, data, destination)
+        if destination == ALL:
+            exchange.end()
+            await sending.announce()
+        else:
             exchange.begin()
-            await self._connect(frame_id, data, destination)
+            await sending.connect()
             exchange.end()
 
-    async def _announce(self, frame_id: int, data: bytes) -> None:
-        await self._control(frame_id, ALL, BAM, head(data) + b"\xff")
-        for number in range(1, -(-len(data) // SIZE) + 1):
-            await asyncio.sleep(PAUSE)
-            await self._packet(frame_id, ALL, data, number)
 
-    async def _connect(self, frame_id: int, data: bytes, destination: int) -> None:
-        back = ANNOUNCE << 16 | (frame_id & SOURCE) << 8 | destination
-        group = group_of(frame_id).to_bytes(3, "little")
-        with self._there().frames(
+@attrs.frozen
+class _Sending:
+    """A message on its way in packets, from one address to another, or to all."""
+
+    bus: CanBus
+    frame_id: int
+    data: bytes
+    destination: int
+
+    @property
+    def count(self) -> int:
+        """How many packets it has."""
+        return -(-len(self.data) // SIZE)
+
+    async def announce(self) -> None:
+        """Send it to all, who say nothing to that."""
+        await self._begin(BAM)
+        for number in range(1, self.count + 1):
+            await asyncio.sleep(PAUSE)
+            await self._packet(number)
+
+    async def connect(self) -> None:
+        """Send a node the packets that it asks for, until it has all."""
+        back = ANNOUNCE << 16 | (self.frame_id & SOURCE) << 8 | self.destination
+        group = group_of(self.frame_id).to_bytes(3, "little")
+        with self.bus.frames(
             Mask(back, 0x03FF_FFFF), extended=True, length=8, limit=64
         ) as answers:
             try:
-                await self._control(frame_id, destination, RTS, head(data) + b"\xff")
+                await self._begin(RTS)
                 sent, patience = 0, ANSWER
                 while True:
                     answer = await answers.take(timeout=patience)
@@ -463,76 +471,55 @@ class Sender:
                         continue  # about another message
                     kind, patience = answer.data[0], ANSWER
                     if kind == ABORT:
-                        reason = answer.data[1]
-                        why = (ABSENCES | FAULTS).get(reason, f"reason {reason}")
-                        error = (
-                            DeviceLostError if reason in ABSENCES else DeviceFaultError
-                        )
-                        raise error("J1939", f"node {destination}: {why}")
-                    if kind == DONE and sent * SIZE >= len(data):
+                        raise self._refusal(answer.data[1])
+                    if kind == DONE and sent >= self.count:
                         return
                     if kind == CTS and answer.data[1] == 0:
                         patience = HOLD
                     elif kind == CTS:
-                        wanted = self._wanted(answer, len(data))
+                        wanted = self._wanted(answer)
                         for number in wanted:
-                            await self._packet(frame_id, destination, data, number)
+                            await self._packet(number)
                         sent = max(sent, wanted.stop - 1)
             except (TimeoutError, asyncio.CancelledError):
-                self._abort(frame_id, destination)
+                # In a task: this one is ending.
+                loop = asyncio.get_running_loop()
+                spawn(loop, self._abort(), name="J1939 abort")
                 raise
 
-    def _wanted(self, answer: Frame, size: int) -> range:
+    def _refusal(self, reason: int) -> EsairError:
+        why = (ABSENCES | FAULTS).get(reason, f"reason {reason}")
+        error = DeviceLostError if reason in ABSENCES else DeviceFaultError
+        return error("J1939", f"node {self.destination}: {why}")
+
+    def _wanted(self, answer: Frame) -> range:
         count, first = answer.data[1:3]
         wanted = range(first, first + count)
-        if first < 1 or (wanted.stop - 1) * SIZE >= size + SIZE:
+        if first < 1 or wanted.stop - 1 > self.count:
             raise DeviceFaultError(
                 "J1939",
-                f"node {answer.id & SOURCE} asks for {count} packets from {first} on, "
+                f"node {self.destination} asks for {count} packets from {first} on, "
                 "which there are not",
             )
         return wanted
 
-    def _abort(self, frame_id: int, destination: int) -> None:
-        """Tell the node that nothing more comes; in a task, as this one is ending."""
-        spawn(
-            asyncio.get_running_loop(),
-            self._say_abort(frame_id, destination),
-            name="J1939 abort",
-        )
-
-    async def _say_abort(self, frame_id: int, destination: int) -> None:
+    async def _abort(self) -> None:
+        """Tell the node that nothing more comes."""
         with contextlib.suppress(EsairError):
-            await self._control(frame_id, destination, ABORT, b"\x03\xff\xff\xff")
+            await self._control(ABORT, b"\x03\xff\xff\xff")
 
-    async def _control(
-        self, frame_id: int, destination: int, kind: int, rest: bytes
-    ) -> None:
-        group = group_of(frame_id).to_bytes(3, "little")
-        number = 7 << 26 | ANNOUNCE << 16 | destination << 8 | frame_id & SOURCE
-        await self._there().send(number, bytes([kind]) + rest + group, extended=True)
+    async def _begin(self, kind: int) -> None:
+        size = len(self.data).to_bytes(2, "little")
+        await self._control(kind, size + bytes([self.count, 0xFF]))
 
-    async def _packet(
-        self, frame_id: int, destination: int, data: bytes, number: int
-    ) -> None:
-        piece = data[SIZE * (number - 1) : SIZE * number].ljust(SIZE, b"\xff")
-        target = 7 << 26 | PACKETS << 16 | destination << 8 | frame_id & SOURCE
-        await self._there().send(target, bytes([number]) + piece, extended=True)
+    async def _control(self, kind: int, rest: bytes) -> None:
+        group = group_of(self.frame_id).to_bytes(3, "little")
+        await self._say(ANNOUNCE, bytes([kind]) + rest + group)
 
-    def _there(self) -> CanBus:
-        bus = self._bus()
-        assert bus is not None  # who sends holds it
-        return bus
+    async def _packet(self, number: int) -> None:
+        piece = self.data[SIZE * (number - 1) : SIZE * number].ljust(SIZE, b"\xff")
+        await self._say(PACKETS, bytes([number]) + piece)
 
-
-def head(data: bytes) -> bytes:
-    """Return the length of a message, and how many packets it has."""
-    assert SIZE < len(data) <= MOST
-    return len(data).to_bytes(2, "little") + bytes([-(-len(data) // SIZE)])
-
-
-async def send_in_packets(bus: CanBus, frame_id: int, data: bytes) -> None:
-    """Send a message of more than 8 bytes; between two addresses one at a time."""
-    ends = frame_id & SOURCE, destination_of(frame_id)
-    sender = shared(bus, Sender).setdefault(ends, Sender(bus))
-    await sender.send(frame_id, data)
+    async def _say(self, place: int, data: bytes) -> None:
+        ends = self.destination << 8 | self.frame_id & SOURCE
+        await self.bus.send(7 << 26 | place << 16 | ends, data, extended=True)
