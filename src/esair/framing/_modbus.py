@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from typing import Final
 
 from esair.framing._framing import Searching
+from esair.loading import of_extra
 
 LONGEST: Final = 254
 """Bytes of the longest message: the unit, and 253 of what it is told."""
@@ -14,26 +16,6 @@ CRC_SHARE: Final = 32
 """How many bytes of a CRC cost as much as the look at a place."""
 
 _READS, _SHORT, _LONG = frozenset({1, 2, 3, 4}), frozenset({5, 6}), frozenset({15, 16})
-
-
-def _table() -> tuple[int, ...]:
-    table = []
-    for byte in range(256):
-        value = byte
-        for _ in range(8):
-            value = value >> 1 ^ (0xA001 if value & 1 else 0)
-        table.append(value)
-    return tuple(table)
-
-
-_TABLE: Final = _table()
-
-
-def _crc(data: bytes | bytearray) -> bytes:
-    value = 0xFFFF
-    for byte in data:
-        value = value >> 8 ^ _TABLE[(value ^ byte) & 0xFF]
-    return value.to_bytes(2, "little")
 
 
 class ModbusRtu(Searching):
@@ -54,6 +36,10 @@ class ModbusRtu(Searching):
 
     def __init__(self, *, max_length: int = LONGEST) -> None:
         super().__init__(max_length=max_length)
+        with of_extra("modbus"):
+            from pymodbus.framer.rtu import FramerRTU
+
+        self._sum: Callable[[bytes | bytearray], int] = FramerRTU.compute_CRC
 
     def feed(self, data: bytes) -> list[bytes]:
         """Return the messages that are complete now, without their CRC."""
@@ -81,12 +67,16 @@ class ModbusRtu(Searching):
         """
         payload = self._checked(payload, least=2)
         self.reset()
-        return payload + _crc(payload)
+        return payload + self._crc(payload)
+
+    def _crc(self, data: bytes | bytearray) -> bytes:
+        return self._sum(data).to_bytes(2, "big")
 
     def _fits(self, at: int, end: int) -> bool:
         buffer = self._buffer
         return (
-            end <= len(buffer) and _crc(buffer[at : end - 2]) == buffer[end - 2 : end]
+            end <= len(buffer)
+            and self._crc(buffer[at : end - 2]) == buffer[end - 2 : end]
         )
 
 

@@ -277,9 +277,6 @@ def hardware_errors(bits: int) -> str:
     return ", ".join(named) or f"code {bits:#04x}"
 
 
-Told = tuple[int, bytes]
-"""What a servo answers: what it says is wrong, and what was asked for."""
-
 _words = PacketHandler(2.0).getRxPacketError
 
 
@@ -358,8 +355,7 @@ class ServoBus(SerialBus):
         self, servo: int, address: int, size: int, value: int
     ) -> None:
         """Change an entry of a servo's control table; args and errors as for `read`."""
-        raw = value & (1 << 8 * size) - 1
-        await self._ask(Kind.WRITE, servo, address, size, raw)
+        await self._ask(Kind.WRITE, servo, address, size, value)
 
     async def tell(self, servo: int, address: int, size: int, value: int) -> None:
         """Change an entry without an answer, for which the wire would be turned.
@@ -368,8 +364,7 @@ class ServoBus(SerialBus):
             DeviceLostError: The line is gone.
             DriverStuckError: It took too long.
         """
-        raw = value & (1 << 8 * size) - 1
-        await self._ask(Kind.TELL, servo, address, size, raw)
+        await self._ask(Kind.TELL, servo, address, size, value)
 
     async def set_up(self, servo: int) -> None:
         """Have a servo tell its `Snapshot` in one block; errors as for `read`."""
@@ -406,6 +401,7 @@ class ServoBus(SerialBus):
         One that is cancelled before its turn is not sent.
         """
         loop = asyncio.get_running_loop()
+        value &= (1 << 8 * size) - 1
         future: InLine[int] = InLine(loop=loop)
         urgent = urgency.get().level > COMMAND
         is_first = urgent not in self._batches
@@ -462,24 +458,26 @@ class ServoBus(SerialBus):
 
     async def _made(self, key: Key, asked: Mapping[int, int]) -> Made:
         kind, address, size = key
-        if kind is Kind.TELL or (kind is Kind.WRITE and len(asked) > 1):
-            return await self._write_all(address, size, asked)
-        if len(asked) > 1:
-            return await self._read_all(address, size, tuple(asked))
-        ((servo, value),) = asked.items()
-        told = value if kind is Kind.WRITE else None
-        return {servo: await self._make_one(servo, address, size, told)}
+        if kind is Kind.READ:
+            if len(asked) > 1:
+                return await self._read_all(address, size, tuple(asked))
+            return {servo: await self._read(servo, address, size) for servo in asked}
+        told = {servo: value.to_bytes(size, "little") for servo, value in asked.items()}
+        if kind is Kind.WRITE and len(told) == 1:
+            for servo, data in told.items():
+                request = bytes([WRITE]) + self._at(address) + data
+                await self._request(servo, f"write {address}", request)
+        else:
+            request = bytes([SYNC_WRITE]) + self._at(address, size)
+            request += b"".join(bytes([servo]) + data for servo, data in told.items())
+            what = f"write {address} of {len(told)} servos"
+            await self._exchanged(tuple(told), what, request, to=ALL, answers=False)
+        return dict.fromkeys(asked, 0)
 
-    async def _make_one(
-        self, servo: int, address: int, size: int, value: int | None
-    ) -> int:
-        if value is None:
-            request = bytes([READ]) + self._at(address, size)
-            told = await self._request(servo, f"read {address}", request)
-            return int.from_bytes(told, "little")
-        request = bytes([WRITE]) + self._at(address) + value.to_bytes(size, "little")
-        await self._request(servo, f"write {address}", request)
-        return 0
+    async def _read(self, servo: int, address: int, size: int) -> int:
+        request = bytes([READ]) + self._at(address, size)
+        told = await self._request(servo, f"read {address}", request)
+        return int.from_bytes(told, "little")
 
     async def _read_all(self, address: int, size: int, servos: tuple[int, ...]) -> Made:
         request = bytes([SYNC_READ]) + self._at(address, size) + bytes(servos)
@@ -488,24 +486,13 @@ class ServoBus(SerialBus):
         found: dict[int, int | BaseException] = {}
         for servo in servos:
             error, data = told.get(servo, (-1, b""))
+            found[servo] = int.from_bytes(data, "little")
             if error:  # asked again alone: it tells why, and for the others
                 try:
-                    found[servo] = await self._make_one(servo, address, size, None)
+                    found[servo] = await self._read(servo, address, size)
                 except EsairError as alone:
                     found[servo] = alone
-            else:
-                found[servo] = int.from_bytes(data, "little")
         return found
-
-    async def _write_all(
-        self, address: int, size: int, asked: Mapping[int, int]
-    ) -> Made:
-        request = bytes([SYNC_WRITE]) + self._at(address, size)
-        for servo, value in asked.items():
-            request += bytes([servo]) + value.to_bytes(size, "little")
-        what = f"write {address} of {len(asked)} servos"
-        await self._exchanged(tuple(asked), what, request, to=ALL, answers=False)
-        return dict.fromkeys(asked, 0)
 
     async def _request(self, servo: int, what: str, request: bytes) -> bytes:
         """Ask one servo, and return what it says unless that is an error."""
@@ -521,7 +508,7 @@ class ServoBus(SerialBus):
             raise self.failed(fault)
         error, data = told[servo]
         if error & ALERT and what != f"read {self.table.errors}":
-            bits = await self._make_one(servo, self.table.errors, 1, None)
+            bits = await self._read(servo, self.table.errors, 1)
             raise DeviceFaultError(
                 self.name,
                 f"servo {servo} has shut down: {hardware_errors(bits)}; "
@@ -544,10 +531,10 @@ class ServoBus(SerialBus):
         *,
         to: int,
         answers: bool = True,
-    ) -> dict[int, Told]:
-        """Make an exchange with servos in its turn, and return what each has told."""
+    ) -> dict[int, tuple[int, bytes]]:
+        """Make an exchange with servos in its turn; return the error and data of each."""
         self._connected()
-        told: dict[int, Told] = {}
+        told: dict[int, tuple[int, bytes]] = {}
         # Who has not answered is not asked before its answer cannot come any more.
         exchange = self._exchanges.request(*servos, timeout=self.write_timeout)
         exchange.name = what
