@@ -154,9 +154,11 @@ class Sensor(_Part):
     rate: "float | None"
     """How often it is read, in Hz; None for every step of the loop."""
 
-    def read(self) -> "Any":
-        """Return one value. Raise, whatever it is, if there is none."""
-        raise NotImplementedError
+    if _COMPUTER:
+
+        def read(self) -> "Any":
+            """Return one value. Raise, whatever it is, if there is none."""
+            raise NotImplementedError
 
 
 class Actuator(_Part):
@@ -597,96 +599,99 @@ class Loop:
         gap, odd = divmod(1000000, every)
         inputs, outputs = list(self.inputs.values()), list(self.outputs.values())
         dark: "Any" = []  # who is blind, or will be before the next step
-        while True:
-            now = self._ms
-            while now >> 28:  # a day is over
-                self.said = 0
-                for node in self.ages:
-                    node._days += 1
-                    node._ms = max(node._ms - _DAY, _NEVER)
+        try:
+            while True:
                 now = self._ms
-            for node in paced:
-                node.due = node.phase >= every
-                node.phase %= every
-            while dark:  # as it was since the last step, before anybody sees again
-                node = dark.pop(0)  # reactions, then guards
-                node.dark()
-                for port in node.ports.values():
-                    port.output.step(now, 1)
-            for node in inputs:
-                if node.due:
-                    try:
-                        value = node.read()
-                        if value is not node.last:
-                            node.last = _check(value)
-                            node.value = value
-                        node._ms = now
-                    except Exception as error:
-                        self.note(node.name, error)
-            for node, timed, terms, react, port, values in self.tasks:
-                news = node.due
-                for key, source, age, optional in terms:
-                    value, old = source.value, now - source._ms
-                    if not old:
-                        if news is None:
-                            news = True
-                    elif optional:
-                        if old > age:
-                            value = None
-                            if news is None and values.get(key) is not None:
-                                news = True
-                    elif old > age - gap:
-                        dark.append(node)
-                        if old > age:
-                            node.dark()
-                            break
-                    values[key] = value
-                else:
-                    if timed is node and node.blind:
-                        news = True  # a guard sees at once
-                    if news:
+                while now >> 28:  # a day is over
+                    self.said = 0
+                    for node in self.ages:
+                        node._days += 1
+                        node._ms = max(node._ms - _DAY, _NEVER)
+                    now = self._ms
+                for node in paced:
+                    node.due = node.phase >= every
+                    node.phase %= every
+                while dark:  # as it was since the last step, before anybody sees again
+                    node = dark.pop(0)  # reactions, then guards
+                    node.dark()
+                    for port in node.ports.values():
+                        port.output.step(now, 1)
+                for node in inputs:
+                    if node.due:
                         try:
-                            if node.blind:
-                                node.blind = False
-                                if timed.elapsed_ms < 0:
-                                    timed._ms = now
-                            timed.elapsed_ms = now - timed._ms
-                            timed._ms = now
-                            command = react(**values)
-                            if command is port.said:
-                                port._ms = now
-                            else:
-                                port.ask(command, now)
+                            value = node.read()
+                            if value is not node.last:
+                                node.last = _check(value)
+                                node.value = value
+                            node._ms = now
                         except Exception as error:
                             self.note(node.name, error)
-                            node.dark()
+                for node, timed, terms, react, port, values in self.tasks:
+                    news = node.due
+                    for key, source, age, optional in terms:
+                        value, old = source.value, now - source._ms
+                        if not old:
+                            if news is None:
+                                news = True
+                        elif optional:
+                            if old > age:
+                                value = None
+                                if news is None and values.get(key) is not None:
+                                    news = True
+                        elif old > age - gap:
                             dark.append(node)
-                    elif node.blind:
-                        dark.append(node)
-            for node in outputs:
-                best = node
-                for port in node.ports:
-                    if port._ms == now:
-                        if best is node:
-                            best = port
-                        else:
-                            self.refused += 1
-                if best is node.sure:
-                    node._ms = now
-                    node.last = value = best.command
-                    try:
-                        node.write(value)
-                    except Exception as error:
-                        self.note(node.name, error)
-                        node.open()
+                            if old > age:
+                                node.dark()
+                                break
+                        values[key] = value
+                    else:
+                        if timed is node and node.blind:
+                            news = True  # a guard sees at once
+                        if news:
+                            try:
+                                if node.blind:
+                                    node.blind = False
+                                    if timed.elapsed_ms < 0:
+                                        timed._ms = now
+                                timed.elapsed_ms = now - timed._ms
+                                timed._ms = now
+                                command = react(**values)
+                                if command is port.said:
+                                    port._ms = now
+                                else:
+                                    port.ask(command, now)
+                            except Exception as error:
+                                self.note(node.name, error)
+                                node.dark()
+                                dark.append(node)
+                        elif node.blind:
+                            dark.append(node)
+                for node in outputs:
+                    best = node
+                    for port in node.ports:
+                        if port._ms == now:
+                            if best is node:
+                                best = port
+                            else:
+                                self.refused += 1
+                    if best is node.sure:
+                        node._ms = now
+                        node.last = value = best.command
+                        try:
+                            node.write(value)
+                        except Exception as error:
+                            self.note(node.name, error)
+                            node.open()
+                    else:
+                        node.step(now)
+                if odd or paced:
+                    self.skip(1)
+                    self.late -= 1  # it was not left out
                 else:
-                    node.step(now)
-            if odd or paced:
-                self.skip(1)
-                self.late -= 1  # it was not left out
-            else:
-                self._ms = now + gap
-            yield
+                    self._ms = now + gap
+                yield
+        finally:  # by Ctrl-C, say: it cannot go on
+            self.close()
 
     def skip(self, steps: int) -> None:
         """Leave out steps that come too late."""
@@ -723,9 +728,8 @@ class Loop:
                         _sleep(-late)
             finally:
                 self.close()
-        finally:
-            if self._run:  # Ctrl-C has come once more, before that could begin
-                self.close()
+        finally:  # Ctrl-C may have come once more, before that could begin
+            self.close()
 
     def open(self) -> None:
         """Open every device, and give each actuator its safe command.
@@ -741,6 +745,7 @@ class Loop:
             task.reaction.elapsed_ms = -1
             task.blind = True
             task.wake()
+        self.step = self._run = self._steps().__next__  # type: ignore[method-assign]
         failed: "Any" = None
         for part in self.parts:  # actuators first, each made safe on its own
             try:
@@ -748,11 +753,16 @@ class Loop:
             except Exception as error:
                 failed = error
         if failed:
+            self.close()
             raise failed
-        self.step = self._run = self._steps().__next__  # type: ignore[method-assign]
 
     def close(self) -> None:
-        """Give each actuator its safe command, three tries each, and close all."""
+        """Give each actuator its safe command, three tries each, and close all.
+
+        What is closed already stays as it is.
+        """
+        if not self._run:
+            return
         stop = None
         outputs = list(self.outputs.values())
         for each in outputs:
@@ -765,9 +775,8 @@ class Loop:
                     self.note(each.name, error)
                 else:  # Ctrl-C: the safe command first
                     stop = error
-        if self._run:
-            self._run = None
-            del self.step
+        self._run = None
+        del self.step
         if stop:
             raise stop
 

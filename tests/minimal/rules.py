@@ -110,6 +110,50 @@ def rule_every_exit_ends_with_the_safe_command():
         assert motor.told == [0.0, 0.5, 0.5, 0.0]
 
 
+def rule_ctrl_c_amid_a_step_of_ones_own_loop_ends_with_the_safe_command():
+    for error in (KeyboardInterrupt, SystemExit):
+        motor = Motor()
+        loop = Loop([Go()], [Sonar(0.5, error(), 0.25)], [motor], rate=1000)
+        loop.step()
+        try:
+            loop.step()
+        except error:
+            pass
+        else:
+            raise AssertionError
+        assert motor.told == [0.0, 0.5, 0.0], motor.told
+        assert motor.state == "closed"
+        loop.close()  # which closes nothing a second time
+        assert motor.told == [0.0, 0.5, 0.0], motor.told
+        loop.step()  # it begins anew
+        assert motor.told == [0.0, 0.5, 0.0, 0.0, 0.25], motor.told
+        loop.close()
+
+
+def rule_a_start_that_fails_leaves_nothing_open():
+    motors = [Motor("motor"), Motor("other")]
+    sonar = Sonar(0.5)
+    loop = Loop([Go()], [sonar], motors, rate=1000)
+    good = sonar.open
+
+    def bad():
+        raise OSError(5)
+
+    sonar.open = bad
+    try:
+        loop.step()
+    except OSError:
+        pass
+    else:
+        raise AssertionError
+    assert [motor.told[-1] for motor in motors] == [0.0, 0.0]
+    assert [motor.state for motor in motors] == ["closed", "closed"]
+    sonar.open = good
+    loop.step()
+    assert motors[0].told[-1] == 0.5
+    loop.close()
+
+
 def rule_ctrl_c_while_it_closes_does_not_cost_the_safe_command():
     motors = [Motor("motor"), Motor("other")]
     motors[0].errors = [None, None, KeyboardInterrupt()]
