@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import copy
 from typing import Any
 
 import attrs
@@ -156,3 +157,45 @@ def test_what_cannot_be_changed_is_not_copied() -> None:
     assert owned(marker) is marker
     counting = [1], iter([1]), (each for each in [1])
     assert owned(counting) is counting
+
+
+class Reuses(esair.Sensor[Any]):
+    """Fills one buffer again and again, as drivers do that save memory."""
+
+    rate = 100.0
+    blocking = False
+
+    def __init__(self, buffer: Any) -> None:
+        super().__init__()
+        self.buffer = buffer
+        self.rounds = 0
+
+    def read(self) -> Any:
+        self.rounds += 1
+        match self.buffer:
+            case Pose():
+                self.buffer.heading = float(self.rounds)
+            case Scan():
+                self.buffer.ranges[:] = [self.rounds] * 2
+            case dict():
+                self.buffer.update(a=self.rounds, b=self.rounds)
+            case _:
+                self.buffer[:] = type(self.buffer)([self.rounds] * 2)
+        return self.buffer
+
+
+@pytest.mark.promise("SC-1", "SC-2")
+@pytest.mark.parametrize("buffer", VALUES[:-1], ids=lambda each: type(each).__name__)
+async def test_a_driver_cannot_change_what_it_has_given(buffer: Any) -> None:
+    """What was read stays, and so does the history, when its buffer is filled again."""
+    sensor = Reuses(copy.deepcopy(buffer))
+    user: Any = esair.Behavior(
+        name="user", reads={"it": esair.reads(Any, name="reuses")}
+    )
+    async with esair.Robot(resources=[sensor], behaviors=[user]):
+        first = await user.it.reading(fresh=True)
+        was = _nearest(first.value)
+        await user.it.read(fresh=True)
+        assert _nearest(first.value) == was
+        seen = [_nearest(each.value) for each in user.it.history(9)]
+        assert seen == sorted(set(seen))

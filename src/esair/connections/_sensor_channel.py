@@ -24,7 +24,7 @@ from esair.exceptions import (
     ResourceRemovedError,
     StaleReadingError,
 )
-from esair.flaws import read_only
+from esair.flaws import owned, read_only
 from esair.journal import Kind
 from esair.messages import (
     OpenReading,
@@ -341,8 +341,11 @@ class SensorChannel(Device):
         wrong = wrong or check.wrong(value)
         if wrong is not None:
             self.bad += 1
-        elif check.frozen is not None:
-            wrong = check.frozen(value)
+        else:
+            if check.is_open:  # its driver may fill the same buffer again
+                value = owned(read_only(value))
+            if check.frozen is not None:
+                wrong = check.frozen(value)
         if wrong is not None:
             self._fail(DeviceFaultError(self.name, wrong), number)
             return
@@ -355,7 +358,7 @@ class SensorChannel(Device):
         reading: Reading[Any]
         if check.is_open:
             at = now if time is None else time
-            reading = OpenReading.at(read_only(value), at, sequence, now)
+            reading = OpenReading.at(value, at, sequence, now)
             reading.is_stamped = time is not None
         elif time is None:
             reading = _new(Reading, (value, now, sequence))
