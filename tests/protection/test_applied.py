@@ -317,3 +317,90 @@ async def test_what_may_have_been_applied_is_not_known(how: str) -> None:
     async with esair.Robot(resources=[wheels], behaviors=[steer]):
         await asyncio.sleep(3.0)
     assert steer.seen == [1.0, None, 2.0]
+
+
+class Refusing(esair.Actuator[float]):
+    """Has an owner elsewhere, who refuses what he likes."""
+
+    safe = 0.0
+    command_timeout = 0.2
+
+    def __init__(self, *, waits: float) -> None:
+        super().__init__(name="wheels")
+        self.waits = waits
+        self.refuses: tuple[float, ...] = ()
+        self.told: list[float] = []
+
+    async def write(self, command: float) -> Any:
+        if self.waits:
+            await asyncio.sleep(self.waits)
+        self.told.append(command)
+        if command in self.refuses:
+            return esair.Refused("owner", 0, "not now", esair.now(), None)
+        return None
+
+
+@pytest.mark.promise("PRO-11", "AC-4")
+@pytest.mark.parametrize("waits", [0.0, 0.01])
+async def test_what_the_device_has_refused_is_not_applied(waits: float) -> None:
+    """Its owner may do anything else with it: what it does is not known."""
+    wheels = Refusing(waits=waits)
+    user: Any = esair.Behavior(
+        name="user",
+        reads={"applied": esair.reads(float, name="wheels.applied")},
+        writes={"wheels": esair.writes(float)},
+    )
+    async with esair.Robot(resources=[wheels], behaviors=[user]):
+        await user.wheels.write(1.0)
+        assert await user.applied.read() == 1.0
+        wheels.refuses = (2.0,)
+        assert not await user.wheels.write(2.0)
+        with pytest.raises(esair.StaleReadingError):
+            _ = user.applied.newest
+
+
+@pytest.mark.promise("AC-4", "ROB-2")
+@pytest.mark.parametrize("waits", [0.0, 0.01])
+@pytest.mark.parametrize("moves", [False, True])
+async def test_a_safe_command_that_is_refused_is_sent_again(
+    waits: float, moves: bool
+) -> None:
+    """Until it is taken, or somebody moves it; who may look sees that it is not safe."""
+    wheels = Refusing(waits=waits)
+    user: Any = esair.Behavior(
+        name="user",
+        reads={"applied": esair.reads(float, name="wheels.applied")},
+        writes={"wheels": esair.writes(float)},
+    )
+    async with esair.Robot(resources=[wheels], behaviors=[user]) as robot:
+        await user.wheels.write(1.0)
+        wheels.refuses = (0.0,)
+        await asyncio.sleep(1.0)
+        refused = wheels.told.count(0.0)
+        assert 3 <= refused <= 8
+        assert not robot.actuators.channel("wheels").is_safe
+        with pytest.raises(esair.StaleReadingError):
+            _ = user.applied.newest
+        wheels.refuses = ()
+        if moves:
+            assert await user.wheels.write(2.0, hold=0.1)
+            await asyncio.sleep(0.1)
+            assert wheels.told.count(0.0) == refused
+            return
+        await asyncio.sleep(0.5)
+        assert robot.actuators.channel("wheels").is_safe
+        assert await user.applied.read() == 0.0
+        assert wheels.told.count(0.0) == refused + 1
+
+
+@pytest.mark.promise("AC-4", "ROB-2")
+async def test_a_safe_command_that_is_refused_when_it_opens_is_sent_again() -> None:
+    """It may move there still, and nobody here has written yet."""
+    wheels = Refusing(waits=0.0)
+    wheels.refuses = (0.0,)
+    async with esair.Robot(resources=[wheels]) as robot:
+        await asyncio.sleep(0.5)
+        assert wheels.told.count(0.0) >= 3
+        wheels.refuses = ()
+        await asyncio.sleep(0.3)
+        assert robot.actuators.channel("wheels").is_safe

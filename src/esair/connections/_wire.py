@@ -27,7 +27,7 @@ from esair.exceptions import (
 )
 from esair.flaws import unsound
 from esair.journal import Kind
-from esair.loop import REACHED, SAFE, Deadlines, spawn, wake
+from esair.loop import REACHED, SAFE, Deadline, Deadlines, spawn, wake
 from esair.messages import Refused, ResourceState, Written
 from esair.resources import HOLD, Actuator
 
@@ -260,7 +260,8 @@ class Wire:
         """Take note of what was applied, and tell those who read it."""
         if isinstance(answer, Written):
             answer = answer.command
-        if isinstance(answer, Refused):
+        if isinstance(answer, Refused):  # its owner does with it what he likes
+            self.unknown()
             return
         if command is HOLD and answer is not None:
             self.told.base = answer
@@ -339,6 +340,7 @@ class SafeCommand:
         "_on_due",
         "_on_idle",
         "_pulses",
+        "_refused",
         "_stays",
         "_task",
         "_wire",
@@ -360,6 +362,8 @@ class SafeCommand:
         self._last_moment = math.inf
         """Until when the stop of the robot waits for it."""
         self._pulses: list[asyncio.Future[None]] = []
+        self._refused: Deadline = Deadlines.of(device.loop).idle(self._once_more)
+        """When it is sent again because the device has refused it."""
         self._task: asyncio.Task[bool] | None = None
         self.state: State | None = None  # nobody has asked for it
         for call in wire.motions_left():  # of one of this name, which was removed
@@ -382,17 +386,31 @@ class SafeCommand:
         task = self._task
         if task is None:
             self._stays = stay
-            self.state = DUE
-            task = self._task = spawn(
-                self._device.loop, self._send(), name=f"{self._device.name} safe"
-            )
-            # A task that is cancelled before its first step runs none of its code.
-            task.add_done_callback(self._over)
+            task = self._begin()
         elif self._stays and not stay:
             self._stays = False
             if self.state is ON_ITS_WAY:
                 self.state = AGAIN  # it was told to stay: safe comes after that
         return task
+
+    def _begin(self) -> asyncio.Task[bool]:
+        self.state = DUE
+        name = f"{self._device.name} safe"
+        task = self._task = spawn(self._device.loop, self._send(), name=name)
+        # A task that is cancelled before its first step runs none of its code.
+        task.add_done_callback(self._over)
+        return task
+
+    def _once_more(self) -> None:
+        """Send it again, because it was refused; unless something else was sent since."""
+        is_last = self._wire.told.command is self._command
+        ready = self._device.state is ResourceState.READY
+        if is_last and ready and self._wire.told.error and self._task is None:
+            self._begin()
+
+    @property
+    def _command(self) -> Any:
+        return HOLD if self._stays else self._wire.actuator.safe
 
     def repeat(self) -> None:
         """Send it again: a motion has ended that may have undone it."""
@@ -425,9 +443,12 @@ class SafeCommand:
             self.state = None
         if again:
             self.make()
+        elif self._wire.told.error:
+            self._send_later()
 
     def close(self) -> None:
         """Nobody waits for it any more; a thread that has it goes on."""
+        self._refused.cancel()
         if self._task is not None:
             self._task.cancel()
 
@@ -532,7 +553,7 @@ class SafeCommand:
     async def _tell(self, limit: float | None = None) -> None:
         device, wire = self._device, self._wire
         actuator, calls, told = wire.actuator, device.calls, wire.told
-        command = HOLD if self._stays else actuator.safe
+        command = self._command
         if command is HOLD:
             told.base = told.place
         told.command = command
@@ -550,6 +571,7 @@ class SafeCommand:
                 told.error = applied.rule
                 told.base = told.base if wire.still is HOLD else wire.still
                 wire.unknown()
+                self._send_later()
                 return
             told.error = ""
             if getattr(actuator, "lets_go", False) and applied is not None:
@@ -560,6 +582,9 @@ class SafeCommand:
             journal = device.registrations.journal
             if journal.heard.safe:
                 journal.publish(Kind.SAFE, device.name, "", command)
+
+    def _send_later(self) -> None:
+        self._refused.start(self._device.time() + self.turn_within)
 
     async def _outcome(self, call: Call) -> Any:
         device, wire = self._device, self._wire
