@@ -274,7 +274,7 @@ async def test_an_exclusive_actuator_may_be_read_about_by_others():
 @pytest.mark.fault("M11")
 async def test_all_requests_together_are_bounded(monkeypatch: pytest.MonkeyPatch):
     """Over the bound of the whole robot a request is refused at once."""
-    monkeypatch.setattr("esair.supervisors._requests.REQUESTS", 1)
+    monkeypatch.setattr("esair.supervisors._mediator.REQUESTS", 1)
 
     class Quiet(esair.Behavior):
         inbox_size = 1

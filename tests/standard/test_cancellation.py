@@ -226,7 +226,7 @@ class World:
         for member in members.values():
             assert member.mail.senders.count == member.mail.askers.count == 0
             assert member.mail.askers.task is None
-            assert member.mail.takers is None
+            assert member.mail.takers == []
             assert not member.steps
             assert member.mail.state in {
                 esair.BehaviorState.RUNNING,

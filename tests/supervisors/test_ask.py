@@ -14,7 +14,7 @@ from tests.supervisors.actors import Idle, seeds, soon
 import esair
 from esair.journal import Kind
 from esair.supervisors import Outcome
-from esair.supervisors._requests import REQUESTS_PER_SENDER
+from esair.supervisors._mediator import REQUESTS_PER_SENDER
 
 pytestmark = pytest.mark.virtual_clock
 

@@ -15,7 +15,8 @@ from tests.supervisors.actors import Idle, seeds, soon
 
 import esair
 from esair.supervisors import Outcome
-from esair.supervisors._requests import REQUESTS_PER_SENDER, REQUESTS_PER_TARGET
+from esair.supervisors._mediator import REQUESTS_PER_SENDER
+from esair.supervisors._requests import REQUESTS_PER_TARGET
 
 pytestmark = pytest.mark.virtual_clock
 

@@ -251,8 +251,8 @@ async def test_requests_that_are_over_make_room_for_as_many(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Of one asker that has others waiting all the time, and of all together."""
-    monkeypatch.setattr("esair.supervisors._requests.REQUESTS_PER_SENDER", 2)
-    monkeypatch.setattr("esair.supervisors._requests.REQUESTS", 3)
+    monkeypatch.setattr("esair.supervisors._mediator.REQUESTS_PER_SENDER", 2)
+    monkeypatch.setattr("esair.supervisors._mediator.REQUESTS", 3)
     a, b, c = Idle(name="a"), Idle(name="b"), Idle(name="c")
     async with esair.Robot(behaviors=[a, b, c]):
         waits = asyncio.create_task(a.get("c", 3600.0))

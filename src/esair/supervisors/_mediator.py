@@ -8,6 +8,7 @@ other wait for nobody as long as one of them has somebody free to answer.
 from __future__ import annotations
 
 import asyncio
+import collections
 import sys
 from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -31,16 +32,16 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Journal, Kind
-from esair.loop import Budget, Deadlines, Owner, speaks_for_nobody, wake, wake_one
+from esair.loop import Budget, Deadlines, Owner, speaks_for_nobody, wake_one
 from esair.messages import PEOPLE, BehaviorState
 from esair.supervisors._requests import (
-    Ledger,
     Order,
     OrderQueue,
     Outcome,
     Request,
     RequestQueue,
     chain,
+    wait_among,
 )
 from esair.values import is_positive
 
@@ -62,7 +63,7 @@ class Mailbox:
     """
 
     action: Behavior | Reaction
-    _mediator: Mediator
+    mediator: Mediator
     name: str
     owner: Owner
     room: int = 0
@@ -83,7 +84,7 @@ class Mailbox:
     askers: RequestQueue = attrs.field(init=False)
     queues: Mapping[Any, OrderQueue] = _NO_QUEUES
     """The requests that it takes, by their type."""
-    takers: list[asyncio.Future[None]] | None = None
+    takers: list[asyncio.Future[None]] = attrs.field(factory=list)
     budget: Budget = attrs.field(init=False)
     state: BehaviorState = BehaviorState.STARTING
     alive: bool = True
@@ -116,13 +117,10 @@ class Mailbox:
         self.receives = is_open and self.room > 0
         self.is_near = self.receives and self.seat is None
 
-    def failure(self) -> BehaviorFailedError:
-        """Return what whoever needs it gets after it has failed for good."""
-        assert self.error is not None
-        return self.failed_by(self.error)
-
-    def failed_by(self, error: BaseException) -> BehaviorFailedError:
-        """Return what whoever waits for it gets when an error has ended its run."""
+    def failure(self, error: BaseException | None = None) -> BehaviorFailedError:
+        """Return what whoever needs it gets: it has failed for good, or by this error."""
+        error = error or self.error
+        assert error is not None
         failed = BehaviorFailedError(self.name, describe(error))
         failed.__cause__ = error
         return failed
@@ -202,7 +200,7 @@ class Mailbox:
             self.make_room()
         self.inbox.append((sender, data))
         if self.takers:
-            self.wake()
+            wake_one(self.takers)
 
     def admit(self) -> None:
         """Take in what waits until it can receive again."""
@@ -220,27 +218,16 @@ class Mailbox:
         request.withdraw(Outcome.DELIVERED, data)
         return True
 
-    def put_back(self, data: Any) -> None:
-        """Give what an asker did not take, cancelled in that instant, to the next."""
-        if not self.give(data):
-            self.outbox.insert(0, data)
-
-    def wake(self) -> None:
-        """Wake one of those that wait in `receive`."""
-        wake_one(self.takers or ())
-
     # What the behavior asks.
 
     def hand(self, receiver: str, data: Any, interval: float) -> bool:
         """Hand data over if that takes no wait; tells whether it did."""
-        return self.is_quick and self._mediator.hand(
-            data, self.name, receiver, interval
-        )
+        return self.is_quick and self.mediator.hand(data, self.name, receiver, interval)
 
     def take(self, sender: str, interval: float) -> Any:
         """Take data that another has offered; `NOTHING` if that has to be waited for."""
         return (
-            self._mediator.take(sender, self.name, interval)
+            self.mediator.take(sender, self.name, interval)
             if self.is_quick
             else NOTHING
         )
@@ -249,14 +236,14 @@ class Mailbox:
         self, receiver: str, data: Any, interval: float
     ) -> Coroutine[Any, Any, None]:
         self.check_speaker()
-        return self._mediator.put(data, self.name, receiver, interval, self)
+        return self.mediator.put(data, self.name, receiver, interval, self)
 
     def get(
         self, sender: str, interval: float, *, is_taken: bool = True
     ) -> Coroutine[Any, Any, Any]:
         """Ask another behavior for data; if it is not taken yet, `got` tells when."""
         self.check_speaker()
-        return self._mediator.get(sender, self.name, interval, self, is_taken=is_taken)
+        return self.mediator.get(sender, self.name, interval, self, is_taken=is_taken)
 
     def ask(
         self,
@@ -267,7 +254,7 @@ class Mailbox:
     ) -> Coroutine[Any, Any, Any]:
         """Ask another behavior, and wait for its answer."""
         self.check_speaker()
-        ask = self._mediator.ask
+        ask = self.mediator.ask
         return ask(request, self.name, receiver, timeout, progress, self)
 
     def run_over(self, error: BaseException | None) -> None:
@@ -288,25 +275,7 @@ class Mailbox:
                 raise BehaviorUnavailableError(
                     self.name, "receive anything", timeout, self.state.value
                 )
-            taker = loop.create_future()
-            if self.takers is None:
-                self.takers = []
-            self.takers.append(taker)
-            timer = None
-            if deadline is not None:
-                timer = loop.call_at(deadline, wake, taker)
-            try:
-                await taker
-            except asyncio.CancelledError:
-                if self.inbox and not taker.cancelled():
-                    self.wake()  # it was woken in the same tick: wake the next one
-                raise
-            finally:
-                if timer is not None:
-                    timer.cancel()
-                self.takers.remove(taker)
-                if not self.takers:
-                    self.takers = None
+            await wait_among(self.takers, lambda: self.inbox, deadline)
         taken = self.inbox.pop(0)
         if self.senders.count:
             self.admit()
@@ -315,15 +284,15 @@ class Mailbox:
     def untake(self, taken: tuple[str, Any]) -> None:
         """Have again, before all others, what did not reach who has received it."""
         self.inbox.insert(0, taken)
-        self.wake()
+        wake_one(self.takers)
 
     def got(self, sender: str, data: Any) -> None:
         """What was asked of another has been taken."""
-        self._mediator.record("get", sender, self.name, _DELIVERED, data)
+        self.mediator.record("get", sender, self.name, _DELIVERED, data)
 
     def give_back(self, sender: str, data: Any) -> None:
         """Let the next one have what did not reach who has asked for it."""
-        self._mediator.give_back(sender, self.name, data)
+        self.mediator.give_back(sender, self.name, data)
 
     def offer(self, data: Any, latest: bool) -> None:
         """Lay data out for whoever asks for it."""
@@ -445,12 +414,16 @@ def _path(links: list[Request], peer: str) -> list[str]:
     return [peer, *reversed(names[1:]), peer]
 
 
+REQUESTS_PER_SENDER = 16  # how many requests of one behavior may wait at a time
+REQUESTS = 4096  # how many requests may wait in a robot at a time
+LEDGER_SIZE = 256  # how many outcomes the ledger remembers
+
 _DELIVERED = Outcome.DELIVERED
 
 _LONGEST = sys.float_info.max
 
 
-class Mediator(Ledger):
+class Mediator:
     """Hands data from one behavior to another, and keeps the ledger of requests.
 
     When the other side is ready a request is a look-up, a check, an append and a
@@ -458,10 +431,24 @@ class Mediator(Ledger):
     """
 
     def __init__(self, journal: Journal) -> None:
-        super().__init__(journal)
+        self.journal = journal
         self.boxes: dict[str, Mailbox] = {}
         """The mailboxes of the robot's behaviors and reactions, by their names."""
         self.closed: bool = False
+        self.ledger: collections.deque[tuple[str, str, str, Outcome]] = (
+            collections.deque(maxlen=LEDGER_SIZE)
+        )
+        self.of_asker: dict[str, dict[Request, None]] = {}
+        """The requests that each asker waits for, the oldest first."""
+        self.pending: int = 0  # how many those are in all
+        self.delivered: int = 0
+        self.turned_away: int = 0
+        self.late_answers: int = 0
+        """How many answers came when nobody waited for them any more."""
+
+    def counts(self) -> dict[str, int]:
+        fields = ("delivered", "pending", "turned_away", "late_answers")
+        return {field: getattr(self, field) for field in fields}
 
     # Put.
 
@@ -479,7 +466,7 @@ class Mediator(Ledger):
             return False
         member.inbox.append((sender, data))
         if member.takers:
-            member.wake()
+            wake_one(member.takers)
         self.delivered += 1
         self.ledger.append(("put", sender, receiver, _DELIVERED))
         if self.journal.heard.put:
@@ -502,7 +489,7 @@ class Mediator(Ledger):
             self.record("put", sender, receiver, _DELIVERED, data)
             return
         member.check_carries()
-        request = Request("put", data, sender, member.senders, by, self)
+        request = Request("put", data, sender, member.senders, by)
         self._begin(request, interval)
         await request.outcome()
 
@@ -542,7 +529,7 @@ class Mediator(Ledger):
             data = member.outbox.pop(0) if member.outbox else member.latest
         else:
             member.check_carries()
-            request = Request("get", None, receiver, member.askers, by, self)
+            request = Request("get", None, receiver, member.askers, by)
             path = circle_of_get(receiver, sender, self.boxes, self.of_asker)
             self._begin(request, interval, path)
             member.askers.roused()
@@ -560,8 +547,10 @@ class Mediator(Ledger):
         """Let the next one have what was not taken, if it is there once only."""
         self.record("get", sender, receiver, Outcome.WITHDRAWN)
         member = self.boxes.get(sender)
-        if member is not None and member.latest is NOTHING:
-            member.put_back(data)
+        if member is None or member.latest is not NOTHING:
+            return
+        if not member.give(data):
+            member.outbox.insert(0, data)
 
     # Ask.
 
@@ -586,7 +575,7 @@ class Mediator(Ledger):
         if getattr(request, "_order", None) is not None:
             request = request.data  # it was taken, and is asked of somebody else
         member.check_fits("ask", request)
-        order = Order(request, sender, queue, by, self)
+        order = Order(request, sender, queue, by)
         self._begin(order, timeout, circle_of_ask(order, queue.busy(), member))
         if self.journal.heard.asked:
             self.journal.publish(Kind.ASKED, receiver, sender, request)
@@ -617,7 +606,7 @@ class Mediator(Ledger):
         """End every request that waits for a behavior that has crashed."""
         for queue in _queues(member):
             if not queue.outlives or member.state is BehaviorState.FAILED:
-                queue.end_all(Outcome.PEER_FAILED, lambda _: member.failed_by(error))
+                queue.end_all(Outcome.PEER_FAILED, lambda _: member.failure(error))
 
     def peer_finished(self, member: Mailbox) -> None:
         """End what would be worked on by a behavior whose run has ended."""
@@ -702,7 +691,14 @@ class Mediator(Ledger):
         try:
             if path:
                 raise CircularRequestError(path)
-            self.check(request.asker)
+            own = self.of_asker.get(request.asker, ())
+            if len(own) >= REQUESTS_PER_SENDER:
+                self.turned_away += 1
+                told = "number of its requests"
+                raise BusyError(request.asker, told, REQUESTS_PER_SENDER)
+            if self.pending >= REQUESTS:
+                self.turned_away += 1
+                raise BusyError("behaviors", "number of requests", REQUESTS)
             request.queue.push(request)
         except (BusyError, CircularRequestError):
             between = request.asker, request.peer
@@ -710,10 +706,35 @@ class Mediator(Ledger):
                 between = request.peer, request.asker
             self.record(request.kind, *between, Outcome.REFUSED)
             raise
-        self.begin(request)
+        self.pending += 1
+        self.of_asker.setdefault(request.asker, {})[request] = None
         if limit is not None:
             deadlines = Deadlines.of(request.loop)
             request.deadline = deadlines.after(limit, request.expire, limit)
+
+    def ended(self, request: Request) -> None:
+        """A request has its outcome."""
+        self.pending -= 1
+        others = self.of_asker[request.asker]
+        del others[request]
+        if not others:
+            del self.of_asker[request.asker]
+
+    def late(self) -> bool:
+        """Count an answer that nobody waits for any more."""
+        self.late_answers += 1
+        return False
+
+    def record(
+        self, kind: str, sender: str, receiver: str, outcome: Outcome, data: Any = None
+    ) -> None:
+        """Write the outcome of a request into the ledger."""
+        self.ledger.append((kind, sender, receiver, outcome))
+        if outcome is _DELIVERED:
+            self.delivered += 1
+            event = Kind.PUT if kind == "put" else Kind.GOT
+            if getattr(self.journal.heard, event):
+                self.journal.publish(event, receiver, sender, data)
 
 
 def _queues(member: Mailbox) -> tuple[RequestQueue, ...]:

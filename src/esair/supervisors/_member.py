@@ -362,7 +362,7 @@ class Member:
         ready = self.ready
         if ready is not None and not ready.done() and self in self.crew.coming:
             self.mail.become(BehaviorState.FAILED)
-            fail(ready, self.mail.failed_by(raisable(error)))
+            fail(ready, self.mail.failure(raisable(error)))
             return
         self._is_ready()
         resources = self.crew.resources
@@ -471,8 +471,7 @@ class Member:
         self.give_up()
         self._end_requests()
         self.mail.run_over(None)
-        if self.mail.takers:
-            wake(*self.mail.takers)
+        wake(*self.mail.takers)
 
     def stopped(self) -> None:
         """Its tasks have ended, or would not: it is gone."""

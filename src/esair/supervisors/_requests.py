@@ -32,19 +32,15 @@ from esair.exceptions import (
     RefusedError,
     describe,
 )
-from esair.journal import Journal, Kind
+from esair.journal import Kind
 from esair.loop import Deadline, Portal, current_task_of, portal, spawn, wake, wake_one
 from esair.messages import BehaviorState
 from esair.values import fits, type_name
 
 if TYPE_CHECKING:
-    from esair.supervisors._mediator import Mailbox
+    from esair.supervisors._mediator import Mailbox, Mediator
 
 _log = logging.getLogger("esair")
-
-REQUESTS_PER_SENDER = 16  # how many requests of one behavior may wait at a time
-REQUESTS = 4096  # how many requests may wait in a robot at a time
-LEDGER_SIZE = 256  # how many outcomes the ledger remembers
 
 
 class Outcome(enum.Enum):
@@ -68,63 +64,6 @@ class Record(NamedTuple):
     sender: str
     receiver: str
     outcome: Outcome
-
-
-class Ledger:
-    """What is known of all that behaviors ask of one another."""
-
-    def __init__(self, journal: Journal) -> None:
-        self.journal = journal
-        self.ledger: collections.deque[tuple[str, str, str, Outcome]] = (
-            collections.deque(maxlen=LEDGER_SIZE)
-        )
-        self.of_asker: dict[str, dict[Request, None]] = {}
-        """The requests that each asker waits for, the oldest first."""
-        self.pending: int = 0  # how many those are in all
-        self.delivered: int = 0
-        self.turned_away: int = 0
-        self.late_answers: int = 0
-        """How many answers came when nobody waited for them any more."""
-
-    def counts(self) -> dict[str, int]:
-        fields = ("delivered", "pending", "turned_away", "late_answers")
-        return {field: getattr(self, field) for field in fields}
-
-    def check(self, asker: str) -> None:
-        """Pass if one more request of an asker may wait."""
-        if len(self.of_asker.get(asker, ())) >= REQUESTS_PER_SENDER:
-            self.turned_away += 1
-            raise BusyError(asker, "number of its requests", REQUESTS_PER_SENDER)
-        if self.pending >= REQUESTS:
-            self.turned_away += 1
-            raise BusyError("behaviors", "number of requests", REQUESTS)
-
-    def begin(self, request: Request) -> None:
-        self.pending += 1
-        self.of_asker.setdefault(request.asker, {})[request] = None
-
-    def end(self, request: Request) -> None:
-        self.pending -= 1
-        others = self.of_asker[request.asker]
-        del others[request]
-        if not others:
-            del self.of_asker[request.asker]
-
-    def late(self) -> bool:
-        """Count an answer that nobody waits for any more."""
-        self.late_answers += 1
-        return False
-
-    def record(
-        self, kind: str, sender: str, receiver: str, outcome: Outcome, data: Any = None
-    ) -> None:
-        """Write the outcome of a request into the ledger."""
-        self.ledger.append((kind, sender, receiver, outcome))
-        if outcome is Outcome.DELIVERED:
-            self.delivered += 1
-            event = Kind.PUT if kind == "put" else Kind.GOT
-            if getattr(self.journal.heard, event):
-                self.journal.publish(event, receiver, sender, data)
 
 
 REQUESTS_PER_TARGET = 64  # how many puts, or gets, to one behavior may wait at a time
@@ -178,7 +117,6 @@ class Request:
         asker: str,
         queue: RequestQueue,
         by: Mailbox | None,
-        ledger: Ledger,
     ) -> None:
         self.kind = kind
         self.data = data
@@ -186,7 +124,7 @@ class Request:
         self.peer: str = queue.member.name
         self.queue = queue
         self.by = by
-        self._ledger = ledger
+        self._mediator: Mediator = queue.member.mediator
         self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
         self.task: Any | None = current_task_of(self.loop)
         self.parent: Request | None = served()
@@ -230,8 +168,8 @@ class Request:
         if self.deadline is not None:
             self.deadline.cancel()
             self.deadline = None  # it knows this request: a circle for the collector
-        ledger = self._ledger
-        ledger.end(self)
+        ledger = self._mediator
+        ledger.ended(self)
         if self.kind != "get":
             ledger.record(self.kind, self.asker, self.peer, outcome, value)
         elif outcome is not Outcome.DELIVERED:
@@ -275,7 +213,7 @@ class Request:
     def served(self, value: Any, error: BaseException | None) -> None:
         """A method of the peer has returned, or raised."""
         if self.over:
-            self._ledger.late_answers += error is None
+            self._mediator.late_answers += error is None
         elif error is None:
             self.end(Outcome.DELIVERED, value)
         elif type(error) is CircularRequestError and self.asker in error.path:
@@ -481,14 +419,9 @@ class Order(Request):
     queue: OrderQueue
 
     def __init__(
-        self,
-        data: Asked[Any],
-        asker: str,
-        queue: OrderQueue,
-        by: Mailbox | None,
-        ledger: Ledger,
+        self, data: Asked[Any], asker: str, queue: OrderQueue, by: Mailbox | None
     ) -> None:
-        super().__init__("ask", data, asker, queue, by, ledger)
+        super().__init__("ask", data, asker, queue, by)
         self.handed = (taken(data, self),)
         self._before = 0
 
@@ -556,15 +489,15 @@ class Order(Request):
         if not self.over and not fits(value, wanted):
             told = f"expected {type_name(wanted)}, not {value!r:.80}"
             raise BadValueError(self.peer, "answer", told)
-        return self.end(Outcome.ANSWERED, value) or self._ledger.late()
+        return self.end(Outcome.ANSWERED, value) or self._mediator.late()
 
     def _refuse(self, reason: str) -> bool:
         refused = RefusedError(reason, self.peer)
-        return self.end(Outcome.REFUSED, error=refused) or self._ledger.late()
+        return self.end(Outcome.REFUSED, error=refused) or self._mediator.late()
 
     def _progress(self, value: Any) -> bool:
         if self.over:
-            return self._ledger.late()
+            return self._mediator.late()
         self._check_fits("progress", value)
         self._news = value
         wake(self._wake)
@@ -594,7 +527,7 @@ class Order(Request):
         self, outcome: Outcome, value: Any = None, error: EsairError | None = None
     ) -> bool:
         ended = super().end(outcome, value, error)
-        journal = self._ledger.journal
+        journal = self._mediator.journal
         if ended and journal.heard.answered:
             came = value if error is None else error
             journal.publish(Kind.ANSWERED, self.peer, self.asker, came, outcome.value)
@@ -708,17 +641,30 @@ class OrderQueue(RequestQueue):
                 self.begun(order)
                 order.outer = served()
                 return order
-            taker = asyncio.get_running_loop().create_future()
-            self._takers.append(taker)
-            try:
-                await taker
-            except asyncio.CancelledError:
-                if self.count and not taker.cancelled():
-                    wake_one(self._takers)  # woken in the same tick: wake the next one
-                raise
-            finally:
-                if taker in self._takers:
-                    self._takers.remove(taker)
+            await wait_among(self._takers, lambda: self.count)
+
+
+async def wait_among(
+    takers: list[asyncio.Future[None]],
+    is_there: Callable[[], object],
+    deadline: float | None = None,
+) -> None:
+    """Wait, until a moment, with others of whom one is woken for what has come."""
+    loop = asyncio.get_running_loop()
+    taker = loop.create_future()
+    takers.append(taker)
+    timer = None if deadline is None else loop.call_at(deadline, wake, taker)
+    try:
+        await taker
+    except asyncio.CancelledError:
+        if is_there() and not taker.cancelled():
+            wake_one(takers)  # it was woken in the same tick: wake the next one
+        raise
+    finally:
+        if timer is not None:
+            timer.cancel()
+        if taker in takers:
+            takers.remove(taker)
 
 
 class Loop(AsyncIterator[Any]):
