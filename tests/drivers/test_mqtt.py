@@ -164,6 +164,33 @@ async def test_what_the_broker_kept_is_old(retained: bool) -> None:
         assert await coming == (3.0 if retained else 4.0)
 
 
+async def test_only_a_value_ends_the_silence() -> None:
+    """A status that is told again, and a payload that is none, are no values."""
+    bus = FakeMqtt()
+    sensor = MqttSensor(topic="t", status="there", silent_after=0.5, bus=bus)
+    await bus.open()
+    bus.feed("there", "online", retain=True)
+    values = sensor.stream()
+    waiting = asyncio.ensure_future(anext(values))
+    await asyncio.sleep(0.01)
+    bus.feed("t", "1.5")
+    assert await waiting == 1.5
+    since = asyncio.get_running_loop().time()
+
+    lost = asyncio.ensure_future(anext(values))
+    for _ in range(20):
+        await asyncio.sleep(0.1)
+        bus.feed("there", "online")
+        bus.feed("t", "nothing")
+        if lost.done():
+            break
+
+    with pytest.raises(DeviceLostError, match=r"for 0\.5 s"):
+        await lost
+    assert asyncio.get_running_loop().time() - since < 0.7
+    await bus.close()
+
+
 async def test_the_last_will_is_the_safe_command() -> None:
     """Whatever ends its connection, the device is told to stop."""
     bus = FakeMqtt()

@@ -6,6 +6,7 @@ Which kind of bus that is says the annotation ``bus:`` of a class, and the ruleb
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import Any, TypeVar
 
@@ -71,25 +72,38 @@ def check_bus(device: Resource, kind: type[Bus], *framings: type[Framing]) -> No
     )
 
 
-def heard(
-    device: Resource, inbox: Inbox[T], silent_after: float | None
-) -> AsyncIterator[T]:
-    """Yield what comes; who is silent for so many seconds is a `DeviceLostError`."""
-    return inbox if silent_after is None else _in_time(device, inbox, silent_after)
+async def heard(
+    device: Resource,
+    inbox: Inbox[T],
+    silent_after: float | None,
+    made: Callable[[T], Any] = lambda item: item,
+    what: str = "nothing came",
+) -> AsyncIterator[Any]:
+    """Yield what is made of what comes; who is silent for so long is a `DeviceLostError`.
 
-
-async def _in_time(
-    device: Resource, inbox: Inbox[T], silent_after: float
-) -> AsyncIterator[T]:
+    Args:
+        device: Who says it, for the error.
+        inbox: Where it comes.
+        silent_after: After how many seconds without anything; never if None.
+        made: What is made of it; None is left out, and no sign of life.
+        what: What has not come, in words.
+    """
+    loop = asyncio.get_running_loop()
+    seconds = math.inf if silent_after is None else silent_after
+    due = loop.time() + seconds
     while True:
+        left = None if silent_after is None else max(0.0, due - loop.time())
         try:
-            yield await inbox.take(timeout=silent_after)
+            found = made(await inbox.take(timeout=left))
         except StopAsyncIteration:
             return
         except TimeoutError:
-            raise DeviceLostError(
-                device.name, f"nothing came for {silent_after:g} s"
-            ) from None
+            found = None
+        if found is not None:
+            yield found
+            due = loop.time() + seconds
+        elif loop.time() >= due:
+            raise DeviceLostError(device.name, f"{what} for {seconds:g} s")
 
 
 def watching(

@@ -373,17 +373,11 @@ class DbcSensor(Sensor[Any]):
                 async for _ in self._heard(inbox):
                     return
 
-    async def _heard(self, inbox: Inbox[Frame]) -> AsyncIterator[Frame]:
+    def _heard(self, inbox: Inbox[Frame]) -> AsyncIterator[Frame]:
         """Yield each message: a frame, or what several are together."""
-        transport, limit = self._transport, self.silent_after
-        last = asyncio.get_running_loop().time()
-        async for frame in heard(self, inbox, limit):
-            whole = frame if transport is None else transport.feed(frame)
-            if whole is not None:
-                last = frame.time
-                yield whole
-            elif limit is not None and frame.time - last > limit:
-                raise DeviceLostError(self.name, f"nothing came for {limit:g} s")
+        if self._transport is None:
+            return heard(self, inbox, self.silent_after)
+        return heard(self, inbox, self.silent_after, self._transport.feed)
 
     def _frames(self) -> Inbox[Frame]:
         return self.bus.frames(

@@ -40,10 +40,11 @@ from esair.drivers._on_bus import (
     SharedTask,
     check_bus,
     ended,
+    heard,
     shared,
     watching,
 )
-from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.exceptions import ConfigError, DeviceFaultError
 from esair.framing import Mavlink
 from esair.loading import of_extra
 from esair.resources import (
@@ -239,28 +240,17 @@ class _OnVehicle(Resource):
         self._dialect = framing.dialect
         self._talk = shared(self.bus, _Talk).setdefault("talk", _Talk(framing))
 
-    async def _told(
+    def _told(
         self, message: str, inbox: Inbox[bytes], seconds: float = PATIENCE
     ) -> AsyncIterator[Any]:
-        """Yield each of the vehicle's messages of one kind.
-
-        Raises:
-            DeviceLostError: None came for so many seconds.
-        """
+        """Yield each of the vehicle's messages of one kind; lost if none comes."""
         number = self._talk.number(message)
-        while True:
-            told = None
-            try:
-                async with asyncio.timeout(seconds):
-                    while told is None:
-                        payload = await inbox.take()
-                        told = self._talk.decoded(payload, self.system, number)
-            except TimeoutError:
-                silent = f"no {message} of system {self.system} for {seconds:g} s"
-                raise DeviceLostError(self.name, silent) from None
-            except StopAsyncIteration:
-                return
-            yield told
+
+        def decoded(payload: bytes) -> Any:
+            return self._talk.decoded(payload, self.system, number)
+
+        what = f"no {message} of system {self.system}"
+        return heard(self, inbox, seconds, decoded, what)
 
     async def _first(self, message: str, seconds: float = PATIENCE) -> None:
         with self.bus.frames() as inbox:

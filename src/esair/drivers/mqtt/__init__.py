@@ -202,8 +202,9 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
         await self._announce()
         if self.status is None and self.silent_after is None:
             return
+        seconds = self.silent_after or PATIENCE
         with await self.bus.subscribe(self.status or self.topic) as inbox:
-            async for message in heard(self, inbox, self.silent_after or PATIENCE):
+            async for message in heard(self, inbox, seconds):
                 if self._is_status(message) or not message.retained:
                     return
 
@@ -211,21 +212,19 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
         """Yield each value that comes; what has none is counted and left out."""
         topics = (self.topic,) if self.status is None else (self.status, self.topic)
         with await self.bus.subscribe(*topics) as inbox:
-            async for message in heard(self, inbox, self.silent_after):
-                if self._is_status(message):
-                    continue
-                if message.retained and not self.retained:
-                    continue
-                try:
-                    yield self._decoded(message.payload)
-                except (
-                    ValueError,
-                    LookupError,
-                    TypeError,
-                    ArithmeticError,
-                    RecursionError,
-                ):
-                    self.bad_payloads += 1
+            values = heard(self, inbox, self.silent_after, self._value_of)
+            async for (value,) in values:
+                yield value
+
+    def _value_of(self, message: Message) -> tuple[Any] | None:
+        """Return the value of a message, if it has one; ``null`` of JSON is one, too."""
+        if self._is_status(message) or (message.retained and not self.retained):
+            return None
+        try:
+            return (self._decoded(message.payload),)
+        except (ValueError, LookupError, TypeError, ArithmeticError, RecursionError):
+            self.bad_payloads += 1
+            return None
 
     def _decoded(self, payload: bytes) -> Any:
         found: Any = payload.decode()
