@@ -23,7 +23,7 @@ from esair.drivers.mavlink import (
     RcOverride,
 )
 from esair.drivers.mavlink.fake import FakeVehicle
-from esair.exceptions import BadValueError, ConfigError
+from esair.exceptions import BadValueError, ConfigError, DeviceLostError
 from esair.framing import Mavlink
 from esair.testing import ActuatorContract, SensorContract
 
@@ -119,6 +119,26 @@ async def test_a_vehicle_that_signs_is_heard_too() -> None:
         plain = line.framing.feed(bytes(beat.pack(mav)))[0]
         assert talk.decoded(plain, 1, 0) is not None
         assert talk.decoded(b"\x02" + plain[1:], 1, 0) is None
+
+
+async def test_the_heartbeat_of_a_gimbal_is_not_the_vehicles() -> None:
+    """It has the vehicle's number, and is no autopilot: it does not keep it alive."""
+    line = FakeSerial(framing="mavlink")
+    far = FakeVehicle(line)
+    sensor = MavlinkSensor(bus=line, silent_after=3.0)
+    assert isinstance(line.framing, Mavlink)
+    gimbal = line.framing.dialect.MAVLink(None, 1, 154)
+    kind = line.framing.dialect.MAVLink_heartbeat_message
+    line.repeat(lambda: bytes(kind(26, 8, 0, 0, 4, 3).pack(gimbal)), 0.3)
+    await line.open()
+    await sensor.open()
+
+    values = sensor.stream()
+    assert [(await anext(values)).armed for _ in range(5)] == [True] * 5
+    far.silent = True
+    with pytest.raises(DeviceLostError, match="no HEARTBEAT of system 1 for 3 s"):
+        await anext(values)
+    await line.close()
 
 
 async def test_sticks_that_are_not_held_let_go() -> None:

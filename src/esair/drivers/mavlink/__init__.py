@@ -68,6 +68,9 @@ STATION: Final = 255, 190
 ARMED: Final = 128
 """The bit of a base mode that says that the motors have power."""
 
+NO_AUTOPILOT: Final = 8
+"""What a heartbeat tells that is not of the vehicle itself."""
+
 SIGNED: Final = 1
 """The flag of a packet that has a signature behind its checksum."""
 
@@ -215,7 +218,7 @@ class _Beats(SharedTask):
                 talk.payload(
                     "HEARTBEAT",
                     type=6,
-                    autopilot=8,
+                    autopilot=NO_AUTOPILOT,
                     base_mode=0,
                     custom_mode=0,
                     system_status=4,
@@ -247,7 +250,9 @@ class _OnVehicle(Resource):
         number = self._talk.number(message)
 
         def decoded(payload: bytes) -> Any:
-            return self._talk.decoded(payload, self.system, number)
+            told = self._talk.decoded(payload, self.system, number)
+            # A gimbal or a camera of the vehicle has a heartbeat, too, and its number.
+            return None if getattr(told, "autopilot", None) == NO_AUTOPILOT else told
 
         what = f"no {message} of system {self.system}"
         return heard(self, inbox, seconds, decoded, what)
