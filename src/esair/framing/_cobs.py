@@ -46,7 +46,6 @@ class Cobs(Delimited):
         """Pays for the frames that cannot be decoded."""
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take the bytes that arrived; return the payloads that are complete now."""
         # Of so many bytes not all frames can be wrong before the reserve is used up.
         if not self._leave and self.looks.credit > len(data):
             cut = self._cut(data)
@@ -58,7 +57,6 @@ class Cobs(Delimited):
         return [payload for payload in found if payload is not None]
 
     def reset(self) -> None:
-        """Forget a partial frame: after an opening, or after a silence."""
         super().reset()
         self._leave = 0
         self.looks.fill()

@@ -134,7 +134,6 @@ class Searching(Framing):
         """Pays for the places that began no good frame."""
 
     def reset(self) -> None:
-        """Forget a partial frame: after an opening, or after a silence."""
         super().reset()
         self._inside = self._left_out = 0
         self.looks.fill()

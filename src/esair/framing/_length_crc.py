@@ -118,7 +118,6 @@ class LengthCrc(Searching):
         self._crc_size, self._crc = _CRCS[crc]
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take the bytes that arrived; return the payloads that are complete now."""
         at, buffer = self._begin(data), self._buffer
         payloads: list[bytes] = []
         before, trailer = len(self.sync) + self.header, self.trailer

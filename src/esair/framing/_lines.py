@@ -88,7 +88,6 @@ class Lines(Delimited):
         )
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take the bytes that arrived; return the messages that are complete now."""
         return self._cut(data)
 
     def encode(self, payload: bytes) -> bytes:

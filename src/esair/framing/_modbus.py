@@ -119,7 +119,6 @@ class ModbusTcp(Searching):
         return self._number.to_bytes(2, "big")
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Return the messages that are complete now."""
         at, buffer = self._begin(data), self._buffer
         found = []
         while len(buffer) - at >= 8:

@@ -94,7 +94,6 @@ class Sentences(Framing):
         self._paid = self._next = 0  # places, from the beginning of what is kept
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take the bytes that arrived; return the payloads that are complete now."""
         data = bytes(self._buffer + data)
         self._buffer.clear()
         end = data.rfind(b"\n") + 1
@@ -113,7 +112,6 @@ class Sentences(Framing):
         return payloads
 
     def reset(self) -> None:
-        """Forget a partial frame: after an opening, or after a silence."""
         super().reset()
         self._paid = self._next = 0
         self.looks.fill()

@@ -22,7 +22,6 @@ from esair.buses.can._frame import (
     FrameKind,
     FrameLink,
     Ids,
-    NewestInbox,
     check_data,
     decode_error,
     filters_of,
@@ -315,8 +314,9 @@ class CanBus(Bus):
         filters = filters_of(self.name, ids, extended=extended)
         if newest and all(each.is_exact for each in filters):
             limit = len(filters)
-        kind = NewestInbox if newest else FrameInbox
-        inbox = kind(limit, self._forget, stats=self.stats, length=length)
+        inbox = FrameInbox(
+            limit, self._forget, stats=self.stats, length=length, newest=newest
+        )
         self._routes.add(inbox, filters)
         self._choose()
         return inbox

@@ -367,7 +367,11 @@ def check_data(owner: str, data: bytes, *, fd: bool) -> bytes:
 
 
 class FrameInbox(Inbox[Frame]):
-    """Frames in the order in which they came; the newest win."""
+    """Frames in the order in which they came; the newest win.
+
+    With *newest* a frame takes the place of an older one with its id in the line: so a
+    fast id never pushes out a slow one, and what is taken is never old.
+    """
 
     def __init__(
         self,
@@ -375,73 +379,33 @@ class FrameInbox(Inbox[Frame]):
         forget: Callable[[Inbox[Frame]], None],
         *,
         stats: BusStats,
-        length: int | None = None,
+        length: int | None,
+        newest: bool,
     ) -> None:
         super().__init__(limit, forget)
         self.bad_frames = 0
         self._stats = stats
         self._length = length
+        self._newest = newest
 
     def offer(self, item: Frame) -> None:
         """Add the newest frame if it has the right length."""
         if self._length is not None and len(item.data) != self._length:
-            self._refuse()
+            self.bad_frames += 1
+            self._stats.bad_frames += 1
             return
         items = self._items
+        if self._newest:
+            for place, older in enumerate(items):
+                if (older.id, older.extended) == (item.id, item.extended):
+                    items[place] = item
+                    self._drop()
+                    return
         if len(items) == items.maxlen:
-            self.dropped += 1
-            self._stats.dropped += 1
+            self._drop()
         items.append(item)
         self._wake()
 
-    def _refuse(self) -> None:
-        self.bad_frames += 1
-        self._stats.bad_frames += 1
-
-
-class NewestInbox(FrameInbox):
-    """The newest frame of each id; an id keeps its place in the line.
-
-    So a fast id never pushes out a slow one, and what is taken is never old.
-    """
-
-    def __init__(
-        self,
-        ids: int,
-        forget: Callable[[Inbox[Frame]], None],
-        *,
-        stats: BusStats,
-        length: int | None = None,
-    ) -> None:
-        super().__init__(ids, forget, stats=stats, length=length)
-        self._newest: dict[tuple[int, bool], Frame] = {}
-
-    def offer(self, item: Frame) -> None:
-        """Put a frame in the place of an older one with its id, or at the end."""
-        if self._length is not None and len(item.data) != self._length:
-            self._refuse()
-            return
-        key, items = _key(item), self._items
-        is_known = key in self._newest
-        if is_known or len(items) == items.maxlen:
-            self.dropped += 1
-            self._stats.dropped += 1
-        if not is_known:
-            if len(items) == items.maxlen:
-                del self._newest[_key(items[0])]
-            items.append(item)
-        self._newest[key] = item
-        self._wake()
-
-    def fail(self, error: BaseException) -> None:
-        """Let every further wait raise an error."""
-        self._newest.clear()
-        super().fail(error)
-
-    async def take(self, *, timeout: float | None = None) -> Frame:
-        """Wait for the next frame and take it; errors as those of `Inbox.take`."""
-        return self._newest.pop(_key(await super().take(timeout=timeout)))
-
-
-def _key(frame: Frame) -> tuple[int, bool]:
-    return frame.id, frame.extended
+    def _drop(self) -> None:
+        self.dropped += 1
+        self._stats.dropped += 1

@@ -82,12 +82,7 @@ class Node:
 
     def __init__(self, bus: Any, owner: Owner) -> None:
         self._bus = bus
-        self._executor = owner.executor
-        self._stats = owner.stats
-        self._received = owner.received
-        self._gone = owner.gone
-        self._fd_frames = owner.fd
-        self._bitrate_switch = owner.bitrate_switch
+        self._owner = owner
         self._loop = asyncio.get_running_loop()
         self._closed = False
 
@@ -97,7 +92,7 @@ class Node:
 
     async def _shut(self, shut: Callable[[], object]) -> None:
         with contextlib.suppress(DriverStuckError, BusyError):
-            await self._executor.call(shut, timeout=1.0)
+            await self._owner.executor.call(shut, timeout=1.0)
 
 
 class SocketNode(Node):
@@ -155,7 +150,7 @@ class SocketNode(Node):
                 return False
             if error.errno in {errno.EINVAL, errno.EMSGSIZE}:
                 raise DeviceFaultError(
-                    self._executor.name,
+                    self._owner.executor.name,
                     f"the interface takes no frame of {len(data)} bytes: "
                     f"{describe(error)}",
                 ) from error
@@ -174,7 +169,7 @@ class SocketNode(Node):
 
     def _read(self) -> None:
         now = self._time()
-        read, size, received = self._socket.recv, self._mtu, self._received
+        read, size, received = self._socket.recv, self._mtu, self._owner.received
         batch = BATCH
         try:
             if self._may_have_missed:
@@ -194,7 +189,7 @@ class SocketNode(Node):
             return
         except Exception as error:  # whatever ends the reading is the loss of the bus
             self._loop.remove_reader(self._fd)
-            self._gone(error)
+            self._owner.gone(error)
             return
         self._may_have_missed = 2  # the number of frames that had no room comes late
 
@@ -207,7 +202,7 @@ class SocketNode(Node):
             kind = FrameKind.REMOTE
         data = b"" if kind is FrameKind.REMOTE else packed[8 : 8 + length]
         extended = bool(number & EXTENDED) and kind is not FrameKind.ERROR
-        self._received(Frame(number & _NUMBER, data, extended, now, kind))
+        self._owner.received(Frame(number & _NUMBER, data, extended, now, kind))
 
     def _read_and_count(self) -> bytes:
         """Read a frame, and how many had no room in the kernel until it came."""
@@ -215,7 +210,7 @@ class SocketNode(Node):
         for level, kind, value in extra:
             if (level, kind) == (socket.SOL_SOCKET, _SO_RXQ_OVFL):
                 (total,) = struct.unpack("=I", value)
-                self._stats.dropped += (total - self._missed) & 0xFFFF_FFFF
+                self._owner.stats.dropped += (total - self._missed) & 0xFFFF_FFFF
                 self._missed = total
         return packed
 
@@ -286,7 +281,7 @@ class ThreadNode(Node):
         self._check()
         try:
             # With a guard, a frame whose time is over does not leave late.
-            return await self._executor.call(
+            return await self._owner.executor.call(
                 self._send, frame, timeout=timeout, guard=lambda: not self._closed
             )
         except CallRefused:
@@ -305,7 +300,7 @@ class ThreadNode(Node):
             data=frame.data,
             is_extended_id=frame.extended,
             is_fd=len(frame.data) > 8,
-            bitrate_switch=self._bitrate_switch and len(frame.data) > 8,
+            bitrate_switch=self._owner.bitrate_switch and len(frame.data) > 8,
         )
         try:
             self._bus.send(message, timeout=0)
@@ -353,7 +348,7 @@ class ThreadNode(Node):
                 return None
             if message.is_remote_frame:
                 kind = FrameKind.REMOTE
-            elif message.is_fd and not self._fd_frames:
+            elif message.is_fd and not self._owner.fd:
                 self._seen[2] += 1
                 return None
         return Frame(
@@ -378,14 +373,14 @@ class ThreadNode(Node):
         for _ in range(self.inbox_limit):  # what comes meanwhile is announced again
             if self._closed or not self._incoming:
                 return
-            self._received(self._incoming.popleft())
+            self._owner.received(self._incoming.popleft())
 
     def _count(self) -> None:
         """Add what the thread has counted, which only the event loop may do."""
         seen = self._seen.copy()
         new = [now - before for now, before in zip(seen, self._counted, strict=True)]
         self._counted = seen
-        stats = self._stats
+        stats = self._owner.stats
         stats.received += sum(new)
         stats.unheard += new[0]
         stats.dropped += new[1]
@@ -401,7 +396,7 @@ class ThreadNode(Node):
 
     def _end_of_reading(self, error: Exception) -> None:
         if not self._closed:
-            self._gone(error)
+            self._owner.gone(error)
 
     def _call(self, function: Callable[..., None], *args: Any) -> None:
         with contextlib.suppress(RuntimeError):  # the loop is closed
