@@ -126,6 +126,16 @@ def test_what_a_board_stands_for_has_its_line(tmp_path) -> None:
             "gone.toml: there is no such file",
         ),
         (
+            '[board.base]\nport = "x"\nrobot = "base.toml"\n'
+            '[board.arm]\nport = "x"\nrobot = "base.toml"',
+            "board.arm.port: 'x' is the port of the bus 'base' already",
+        ),
+        (
+            '[bus.gps]\ntype = "serial"\nport = "x"\nframing = "lines"\n'
+            '[board.base]\nport = "x"\nrobot = "base.toml"',
+            "board.base.port: 'x' is the port of the bus 'gps' already",
+        ),
+        (
             '[board.base]\nport = "x"\nrobot = "base.toml"\nbaud = 3',
             "there is no such key",
         ),

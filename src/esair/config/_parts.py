@@ -238,6 +238,11 @@ def _add_boards(source: Source, robot_class: type) -> None:
             told = f"the board {name!r} has a bus of this name already"
             source.mistakes.add(dotted("bus", name), told)
         elif board is not INVALID:
+            for bus, other in named_tables(source, "bus"):
+                if other.get("port") == board.port:
+                    text = f"{board.port!r} is the port of the bus {bus!r} already"
+                    where = dotted("board", name, "port")
+                    source.mistakes.add(where, f"{text}: it has one user")
             _add_board(source, name, board, robot_class)
 
 
