@@ -545,3 +545,43 @@ def test_what_is_no_finding(number: int, lasts: float, steps: tuple[Step, ...]) 
     world = World(Target("robot", maker(number)), Story(0, steps, lasts))
     assert world.run().violations == ()
     assert world.done.total() == len(steps)
+
+
+HOLDS = """
+import math
+
+import esair
+
+
+class Sonar(esair.Sensor[float]):
+    def __init__(self) -> None:
+        super().__init__()
+        self.codec = math
+
+    async def read(self) -> float:
+        raise AssertionError("a stand-in answers")
+
+
+class Look(esair.Behavior):
+    sonar = esair.reads(float)
+
+    async def run(self) -> None:
+        async for _ in self.sonar:
+            pass
+
+
+robot = esair.Robot(resources=[Sonar()], behaviors=[Look()])
+"""
+
+
+def test_what_a_driver_holds_that_cannot_be_copied_is_shared(tmp_path: Path) -> None:
+    """Such as a module: nobody calls it; a driver that is called must be made anew."""
+    file = tmp_path / "holds.py"
+    file.write_text(HOLDS)
+    target = Target.of(f"{file}:robot")
+
+    assert World(target, Story(1, (), 1.0)).run().violations == ()
+    one, other = (target.make().plan.resource_of["sonar"] for _ in range(2))
+    assert one is not other
+    with pytest.raises(esair.ConfigError, match="cannot be made a second time"):
+        Target.of(f"{file}:robot", own=True)

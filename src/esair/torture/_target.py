@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +138,23 @@ def _parts(robot: esair.Robot) -> tuple[list[Any], list[Any]]:
 
 
 def _copied(robot: esair.Robot, *, alone: bool) -> tuple[list[Any], list[Any]]:
-    """Copy the parts of a robot that was never started; alone, no bus is opened."""
+    """Copy the parts of a robot that was never started.
+
+    Alone no bus is opened and no driver is called: what they have that cannot be copied,
+    such as a module, is shared.
+    """
     parts = _parts(robot)
-    buses = [each.bus for each in parts[0] if alone and each.bus is not None]
-    return copy.deepcopy(parts, {id(each): each for each in buses})
+    shared: dict[int, Any] = {}
+    for each in parts[0] if alone else ():
+        for held in (each.bus, *vars(each).values()):
+            if held is each.bus or not _can_be_copied(held, shared):
+                shared[id(held)] = held
+    return copy.deepcopy(parts, shared)
+
+
+def _can_be_copied(value: Any, shared: Mapping[int, Any]) -> bool:
+    try:
+        copy.deepcopy(value, dict(shared))
+    except Exception:  # the user's objects may hold anything
+        return False
+    return True
