@@ -233,7 +233,6 @@ def _compiler() -> str | None:
 
 
 def _compile(compiler: str, files: Mapping[str, str], folder: Path) -> dict[str, int]:
-    """Compile everything but the start file, into a folder of its own."""
     sizes: dict[str, int] = {}
     errors: list[Any] = []
     for name in files:

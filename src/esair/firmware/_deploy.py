@@ -185,7 +185,6 @@ def _copy(prompt: Prompt, slot: str, files: Mapping[str, bytes]) -> None:
 
 
 def _put(prompt: Prompt, name: str, data: bytes) -> None:
-    """Write a file, and read it again."""
     for _ in range(3):
         prompt.ask(f"_file = open({name!r}, 'wb')")
         for at in range(0, len(data), _PIECE):

@@ -53,7 +53,6 @@ class Part:
 
 
 def fitting_parts(path: Path, described: Description, misfit: Misfit) -> list[Part]:
-    """Return the parts that fit; tell about the others."""
     with path.open("rb") as file:
         tables = tomllib.load(file)
     for name in described.buses:

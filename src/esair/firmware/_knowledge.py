@@ -32,7 +32,6 @@ _ONLY_HERE: Final = frozenset({"machine", "esair", "__future__"})
 
 
 def what_boards_do_not_know(tree: ast.AST) -> Iterator[tuple[int, str]]:
-    """Yield what MicroPython does not know, with the line."""
     yield from _syntax(tree)
     yield from _keywords(tree)
     yield from what_it_lacks(_used_of_modules(tree), _used_of_types(tree)) or ()

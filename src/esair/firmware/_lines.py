@@ -40,7 +40,6 @@ class Lines:
         self._close()
 
     def write(self, data: bytes) -> None:
-        """Send bytes, if the port is there."""
         try:
             if self._open():
                 self._port.write(data)

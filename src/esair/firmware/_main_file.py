@@ -10,8 +10,6 @@ from esair.firmware._fit import Part
 
 
 class Imports:
-    """What a file has to import."""
-
     def __init__(self) -> None:
         self._owners: dict[str, tuple[str, str]] = {}
         """The module of each name in the file, and what it is called there."""
@@ -26,7 +24,6 @@ class Imports:
         return called + dot + rest
 
     def lines(self) -> list[str]:
-        """Return the lines that import everything."""
         names: dict[str, list[str]] = {}
         for called, (module, name) in sorted(self._owners.items()):
             plain = called == name
@@ -99,7 +96,6 @@ def main_file(
 def made(
     part: Part, keywords: Mapping[str, frozenset[str]], imports: Imports
 ) -> list[str]:
-    """Return the lines that make a part."""
     cls = type(part.made)
     taken = ", ".join(
         f"{key}={literal(value, part, key, imports)}"

@@ -159,7 +159,6 @@ class Prompt:
         return self._do(b"x" + code.encode(), patience)
 
     def write(self, at: int, data: bytes) -> None:
-        """Put bytes at a place of the file ``_file`` on the board."""
         self._do(b"w" + at.to_bytes(4, "little") + data, PATIENCE)
 
     def _do(self, body: bytes, patience: float) -> str:

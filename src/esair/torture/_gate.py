@@ -41,8 +41,6 @@ SOON = 0.1  # How often the stand-in of a sensor that pushes does so, in seconds
 
 @attrs.define(eq=False)
 class Told:
-    """One command that a driver was called with."""
-
     command: Any
     safe: bool  # Whether it is the safe one, or to stay
     begun: float  # When the driver was called, in seconds of the loop's clock
@@ -86,8 +84,6 @@ def is_injected(error: BaseException) -> bool:
 
 
 class Gate:
-    """Every call of one driver passes here."""
-
     def __init__(
         self,
         resource: Resource,
@@ -120,11 +116,9 @@ class Gate:
 
     @property
     def safe(self) -> Any:
-        """The safe command, if it is an actuator."""
         return getattr(self.resource, "safe", None)
 
     def is_safe(self, command: Any) -> bool:
-        """Tell whether a command does not move it."""
         return command is HOLD or same(command, self.safe)
 
     # In front of the driver.
@@ -353,8 +347,6 @@ def _has(resource: Resource, name: str) -> bool:
 
 
 class Lever:
-    """What one action is made to do."""
-
     def __init__(self, action: Any, loop: Any) -> None:
         self.action = action
         # Until when it does not go on, its commands are no good

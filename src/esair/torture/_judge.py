@@ -87,7 +87,6 @@ def _boxes(
 
 
 def _size(value: Any) -> int | None:
-    """Return how much is in a box without a bound; None if it is none."""
     if isinstance(value, collections.deque):
         return len(value) if value.maxlen is None else 0
     if isinstance(value, asyncio.Queue | queue.Queue):
@@ -157,13 +156,11 @@ class Judge:
     # Where an actuator is told something.
 
     def begins(self, gate: Gate, told: Told) -> None:
-        """The driver of an actuator is called with a command."""
         self._alive(gate, told)
         if not told.safe:
             self._moves(gate, told)
 
     def lands(self, gate: Gate, told: Told) -> None:
-        """The device has a command."""
         if not told.safe:
             self._moving[gate.name] = told
             self._undoes(gate, told)

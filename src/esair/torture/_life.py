@@ -94,7 +94,6 @@ class Deeds:
             self.last[deed] = event.time
 
     def pause(self, deed: Deed, now: float) -> float:
-        """Return the longest pause of a deed until now, in seconds."""
         since = max(self.last.get(deed, 0.0), UP_AFTER)
         return max(self.pauses.get(deed, 0.0), now - since)
 
@@ -253,7 +252,6 @@ def _is_idle(works: Works) -> bool:
 
 
 def _declared(robot: esair.Robot) -> Iterator[tuple[str, Works]]:
-    """Yield what the actions of a robot say of themselves."""
     for action in robot.plan.behaviors:
         for each in declared_works(action):
             yield action.name, each

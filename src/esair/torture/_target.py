@@ -124,7 +124,6 @@ class Target:
 
 
 def _loads(path: Path, *, simulated: bool = False) -> bool:
-    """Tell whether a file describes a robot."""
     try:
         config.load(path, simulated=simulated)
     except ExceptionGroup:

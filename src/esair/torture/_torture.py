@@ -246,7 +246,6 @@ class Report:
 
     @property
     def faults(self) -> int:
-        """How many steps were taken."""
         return self.done.total()
 
 

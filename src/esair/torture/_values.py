@@ -26,7 +26,6 @@ class CannotMakeError(TypeError):
 
 
 def make(kind: Any, dice: random.Random, limits: Limits = None, depth: int = 0) -> Any:
-    """Make a value of a type."""
     if depth > DEPTH:
         raise CannotMakeError("its type contains itself")
     if kind is None or kind is type(None):
@@ -119,21 +118,18 @@ def _with(value: Any, bad: float) -> Any:
 
 
 def has_number(value: Any) -> bool:
-    """Tell whether a value is a number or contains one."""
     if isinstance(value, bool | float | int):
         return not isinstance(value, bool)
     return any(map(has_number, _inside(value).values()))
 
 
 def is_good(value: Any) -> bool:
-    """Tell whether all numbers of a value are finite."""
     if isinstance(value, float):
         return math.isfinite(value)
     return all(map(is_good, _inside(value).values()))
 
 
 def same(one: Any, other: Any) -> bool:
-    """Tell whether two values are equal, all of their parts if they are arrays."""
     equal = one == other
     return equal if isinstance(equal, bool) else bool(all(equal))
 

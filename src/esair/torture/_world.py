@@ -118,7 +118,6 @@ class World:
 
     @property
     def now(self) -> float:
-        """Seconds of the virtual clock since the start."""
         return self.loop.time()
 
     def jump(self, seconds: float) -> None:
@@ -147,7 +146,6 @@ class World:
         return found
 
     def gate_of(self, resource: Resource) -> Gate | None:
-        """Return the gate of a device."""
         return next((each for each in self.gates if each.resource is resource), None)
 
     def lever(self, name: str) -> Lever:
@@ -162,7 +160,6 @@ class World:
             raise NotNowError from None
 
     def actions(self) -> list[Behavior | Reaction]:
-        """Return the actions that the robot has now."""
         behaviors = self.robot.behaviors
         return [behaviors.action(name) for name in behaviors.names()]
 

@@ -186,7 +186,6 @@ class Process:
                 os.close(descriptor)
 
     def kill(self) -> None:
-        """End it, also if it is stopped: it does nothing any more from now on."""
         if self._process.returncode is None:
             self._process.kill()
 

@@ -27,8 +27,6 @@ I2C_TIMEOUT, I2C_RDWR, GPIO_SET_VALUES = 0x0702, 0x0707, 0xC010B40F
 
 
 class Device:
-    """One actuator: its wire, and the bytes that make it safe."""
-
     def __init__(self, told: dict[str, Any], descriptors: list[int]) -> None:
         self.name, self.wire, self.target = told["name"], told["wire"], told["target"]
         self.frames = [bytes.fromhex(frame) for frame in told["frames"]]
@@ -65,7 +63,6 @@ class Device:
         return bool(self.left)
 
     def write(self, frame: bytes) -> int:
-        """Write a frame; return how much of it has gone."""
         if self.wire == "gpio":
             fcntl.ioctl(self.descriptor, GPIO_SET_VALUES, frame)
         elif self.wire == "i2c":
@@ -81,8 +78,6 @@ class Device:
 
 
 class Watchdog:
-    """Watches one process."""
-
     def __init__(self, arguments: list[str]) -> None:
         channel, self.pidfd, page, self.stack, self.pid = map(int, arguments[:5])
         self.limit, self.policy = float(arguments[5]), arguments[6]
@@ -170,14 +165,12 @@ class Watchdog:
         return True
 
     def drop(self, place: int) -> None:
-        """Watch a device no more."""
         if place in self.devices:
             device = self.devices.pop(place)
             self.poll.unregister(device.descriptor)
             os.close(device.descriptor)
 
     def tell(self, what: str, place: int, why: str = "") -> None:
-        """Answer the robot."""
         with contextlib.suppress(OSError):  # it is dead; or stuck, and hears nothing
             self.channel.send(
                 json.dumps([what, place, why]).encode(), socket.MSG_DONTWAIT

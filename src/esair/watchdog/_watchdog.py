@@ -114,7 +114,6 @@ class Watchdog:
 
     @property
     def runs(self) -> bool:
-        """Whether its process is there."""
         return self._process is not None
 
     async def close(self) -> None:
@@ -223,7 +222,6 @@ class Watchdog:
             return asked
 
     def watches(self, name: str) -> bool:
-        """Tell whether a device is watched now."""
         return name in self._places
 
     def _ask(

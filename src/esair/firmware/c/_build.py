@@ -137,7 +137,6 @@ def build(
 
 
 def header(program: Program, target: str) -> str:
-    """Return ``robot.h``."""
     floats = _REAL if program.has_floats else ""
     if floats and target == "avr":
         floats = "#ifndef ROBOT_FLOAT\n#define ROBOT_FLOAT\n#endif\n" + floats
@@ -159,7 +158,6 @@ def header(program: Program, target: str) -> str:
 
 
 def _heads(program: Program) -> list[str]:
-    """Return how what the user writes begins."""
     reads = [f"bool read_{n}({t.c} *value)" for n, t in program.sensors.items()]
     return reads + [
         f"bool write_{n}({t.c} command)" for n, t in program.actuators.items()
@@ -167,7 +165,6 @@ def _heads(program: Program) -> list[str]:
 
 
 def sketch(program: Program, watchdog: float | None, arm: str) -> str:
-    """Return ``robot.ino``."""
     lines = []
     for head in _heads(program):
         what = ("value", "put the reading there")

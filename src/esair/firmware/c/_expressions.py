@@ -87,7 +87,6 @@ class Expressions(Scope):
     """Translates the expressions of one function; statements that they need go before."""
 
     def of(self, node: ast.expr) -> Value:
-        """Translate an expression."""
         with self.at(node):
             if type(node) not in self._by_node:
                 raise RefusedError(
@@ -123,7 +122,6 @@ class Expressions(Scope):
         return Value(value.type.of, f"some_{value.type.c}({value.text})")
 
     def number(self, value: Value, doing: str = "a calculation") -> Value:
-        """Return a number or truth value."""
         value = self.there(value)
         if value.type not in {INT, BOOL, REAL}:
             raise RefusedError(
@@ -132,14 +130,12 @@ class Expressions(Scope):
         return value
 
     def as_real(self, value: Value) -> str:
-        """Write a number as a float."""
         value = self.number(value)
         if value.is_known:
             return self.types.literal(float(value.known), REAL)
         return value.text if value.type is REAL else f"(real){value.text}"
 
     def as_int(self, value: Value) -> str:
-        """Write an integer or a truth value as an integer."""
         value = self.number(value)
         if value.type is REAL:
             raise RefusedError(
@@ -148,7 +144,6 @@ class Expressions(Scope):
         return value.text if value.type is INT else f"(int32_t){value.text}"
 
     def binary(self, op: ast.operator, left: Value, right: Value) -> Value:
-        """Translate an operation of two values."""
         if type(op) not in _OPERATORS:
             raise RefusedError(
                 f"{type(op).__name__}: write it with + - * /, as x * x for x ** 2"
@@ -194,7 +189,6 @@ class Expressions(Scope):
         return Value(INT, f"es_neg({self.as_int(value)})")
 
     def truth(self, value: Value) -> str:
-        """Write whether a value counts as true."""
         if value.type is NONE:
             return "false"
         if value.type.of:
@@ -253,7 +247,6 @@ class Expressions(Scope):
         return self._further(self.pair(ops[0], left, right), True, more)
 
     def pair(self, op: ast.cmpop, left: Value, right: Value) -> str:
-        """Write the comparison of two values."""
         no = "!" if isinstance(op, ast.IsNot | ast.NotEq | ast.NotIn) else ""
         if (
             isinstance(op, ast.Is | ast.IsNot)
@@ -349,7 +342,6 @@ class Expressions(Scope):
         return Value(kind, name, True)
 
     def display(self, values: Sequence[Value], cls: Any = None) -> Value:
-        """Return a tuple, or a named one, of values."""
         if any(each.type.of for each in values):
             raise RefusedError(
                 "what may be None in a tuple: write (x if x is not None else 0.0)"
@@ -366,7 +358,6 @@ class Expressions(Scope):
         return Value(kind, f"(({kind.c}){f'{{{text}}}' if kind.row else text})")
 
     def item(self, value: Value, number: int) -> Value:
-        """Return a field of a tuple."""
         if value.is_known:
             return self.constant(value.known[number])
         value = self.kept(value)

@@ -43,10 +43,7 @@ _INSTEAD: Final = {
 
 
 class Statements(Expressions):
-    """Translates the statements of one function."""
-
     def whole(self, node: ast.FunctionDef) -> None:
-        """Translate a function."""
         self._nodes = node.body
         if self.run(node.body):
             end = ast.Return(None, lineno=node.end_lineno or 1)
@@ -254,7 +251,6 @@ def _asked(test: ast.expr) -> tuple[str, bool]:
 
 
 def _changes(nodes: Sequence[ast.stmt], name: str) -> bool:
-    """Whether a name gets a value somewhere in statements."""
     each = (node for statement in nodes for node in ast.walk(statement))
     return any(
         isinstance(n, ast.Name) and n.id == name and isinstance(n.ctx, ast.Store)

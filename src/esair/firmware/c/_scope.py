@@ -105,7 +105,6 @@ class Types:
     def tuple_of(
         self, fields: tuple[Type, ...], names: tuple[str, ...], cls: type | None
     ) -> Type:
-        """Return the struct of a tuple, or of a named one."""
         if not fields:
             raise RefusedError("an empty tuple: C has none, leave it out")
         above = cls.__mro__[: [*map(_is_tuple, cls.__mro__)].index(True)] if cls else ()
@@ -144,7 +143,6 @@ class Types:
         return made
 
     def option(self, of: Type) -> Type:
-        """Return the struct of what may be None."""
         if of is NONE or of.of:
             return of
         if of in self._known:
@@ -167,7 +165,6 @@ class Types:
         return name
 
     def of_value(self, value: Any) -> Type:
-        """Return the type of a value that is known."""
         if type(value) in PLAIN:
             return PLAIN[type(value)]
         if isinstance(value, tuple):
@@ -208,7 +205,6 @@ class Types:
         )
 
     def literal(self, value: Any, kind: Type) -> str:
-        """Write a value as C has it."""
         if kind is BOOL:
             return "true" if value else "false"
         if kind is INT:
@@ -239,7 +235,6 @@ class Types:
 
 
 def is_named(cls: Any) -> bool:
-    """Whether something is the class of a named tuple."""
     return isinstance(cls, type) and issubclass(cls, tuple) and hasattr(cls, "_fields")
 
 
@@ -248,7 +243,6 @@ def _is_tuple(cls: type) -> bool:
 
 
 def equal(kind: Type, one: str, other: str) -> str:
-    """Write the comparison of two values of a type."""
     return f"{one} == {other}" if not kind.fields else f"eq_{kind.c}({one}, {other})"
 
 
@@ -283,7 +277,6 @@ class Value:
 
     @property
     def is_known(self) -> bool:
-        """Whether it is a constant."""
         return self.known is not UNKNOWN
 
 
@@ -312,7 +305,6 @@ class Function:
     lines: list[str] = attrs.Factory(list)
 
     def called(self, args: Mapping[str, Value]) -> str:
-        """Write a call of it."""
         given = (each.text for each in args.values() if each.type is not NONE)
         return f"{self.c}({', '.join(given)})"
 
@@ -349,7 +341,6 @@ class Memory:
         return after
 
     def constant(self, value: Any) -> Value:
-        """Return a value that is known."""
         guards = any(hasattr(need, "latch") for _, need in declared(self.reaction))
         if value is REFUSE and guards:
             value = None
@@ -367,7 +358,6 @@ class Memory:
     def bound(
         self, function: Any, args: Sequence[Any], named: Mapping[str, Any]
     ) -> dict[str, Value]:
-        """Return the values of all parameters of a function, with their defaults."""
         try:
             signature = inspect.signature(function, follow_wrapped=False)
             bound = signature.bind(*args, **named)
@@ -400,7 +390,6 @@ class Memory:
 
 
 def join(known: Types, one: Type, other: Type, what: str) -> Type:
-    """Return the type of what is the one or the other."""
     if one is other or one.of is other:
         return one
     if other.of is one:
@@ -459,11 +448,9 @@ class Scope:
             raise
 
     def say(self, line: str) -> None:
-        """Write a line."""
         self.lines.append(line)
 
     def block(self, head: str, lines: Sequence[str], other: Sequence[str] = ()) -> None:
-        """Write a block, and what is done otherwise."""
         self.lines += [f"{head} {{", *(f"    {each}" for each in lines)]
         if other:
             self.lines += ["} else {", *(f"    {each}" for each in other)]
@@ -479,20 +466,16 @@ class Scope:
             self.lines = before
 
     def new_name(self) -> str:
-        """Return a name that nobody has."""
         self._count += 1
         return f"t{self._count}"
 
     def joined(self, one: Type, other: Type, what: str) -> Type:
-        """Return the type of what is the one or the other."""
         return join(self.types, one, other, what)
 
     def constant(self, value: Any) -> Value:
-        """Return a value that is known."""
         return self.memory.constant(value)
 
     def is_self(self, node: ast.expr) -> bool:
-        """Whether an expression is the reaction itself."""
         return isinstance(node, ast.Name) and node.id == self._myself != ""
 
     def thing(self, node: ast.expr) -> Any:
@@ -518,7 +501,6 @@ class Scope:
         return self.function.python.__globals__.get(name, found)
 
     def name(self, name: str) -> Value:
-        """Return what a name has as its value."""
         code = self.function.python.__code__
         if name == self._myself:
             raise RefusedError("self is no value: write what is needed of it")
@@ -543,7 +525,6 @@ class Scope:
         return self.constant(found)
 
     def attribute(self, name: str) -> Value:
-        """Return what an attribute of the reaction has as its value."""
         if name in {"now_ms", "elapsed_ms"}:
             self.function.timed = True
             return Value(INT, f"es_{name}()")
@@ -555,7 +536,6 @@ class Scope:
         return self.constant(self.memory.first(name))
 
     def set_local(self, name: str, value: Value) -> None:
-        """Let a name have a value."""
         if name == self._myself:
             raise RefusedError("self cannot be another one")
         kind = self.memory.learn(self.function.locals, name, value.type, name)
@@ -563,7 +543,6 @@ class Scope:
         self._put(f"v_{in_c(name)}", value, kind)
 
     def set_attribute(self, name: str, value: Value) -> None:
-        """Let an attribute of the reaction have a value."""
         if name in {"now_ms", "elapsed_ms", "name", "rate"}:
             raise RefusedError(f"self.{name} is the loop's: take another name")
         if name not in self.memory.state:
