@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Final
 
 from esair.firmware._micropython import what_it_lacks
@@ -75,14 +75,14 @@ def _used_of_modules(tree: ast.AST) -> dict[str, dict[str, int]]:
     """Return what is used of each imported module, with the line."""
     found: dict[str, dict[str, int]] = {}
     called: dict[str, str] = {}
-    for node in _run_on_boards(tree):
+    for node in run_on_boards(tree):
         if isinstance(node, ast.Import):
             for alias in node.names:
                 called[alias.asname or alias.name] = alias.name
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             for alias in node.names:
                 found.setdefault(node.module, {}).setdefault(alias.name, node.lineno)
-    for node in _run_on_boards(tree):
+    for node in run_on_boards(tree):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
             module = called.get(node.value.id)
             if module is not None:
@@ -102,7 +102,7 @@ def _used_of_types(tree: ast.AST) -> dict[str, int]:
         if isinstance(node, ast.FunctionDef | ast.ClassDef)
     }
     found: dict[str, int] = {}
-    for node in _run_on_boards(tree):
+    for node in run_on_boards(tree):
         if (
             isinstance(node, ast.Call)
             and isinstance(node.func, ast.Attribute)
@@ -112,19 +112,21 @@ def _used_of_types(tree: ast.AST) -> dict[str, int]:
     return found
 
 
-def _run_on_boards(tree: ast.AST) -> Iterator[ast.AST]:
-    """Yield all nodes but those for type checkers, and of a try with an ImportError."""
+def run_on_boards(
+    tree: ast.AST, asks: Collection[str] = ("ImportError", "AttributeError")
+) -> Iterator[ast.AST]:
+    """Yield all nodes but those for type checkers, and of a try that asks for an error."""
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            continue
-        if isinstance(node, ast.If) and "hasattr" in ast.unparse(node.test):
-            continue  # it asks before it uses
-        if isinstance(node, ast.Try) and any(
-            handler.type is None
-            or {"ImportError", "AttributeError"}
-            & set(ast.unparse(handler.type).split("."))
-            for handler in node.handlers
+            yield from run_on_boards(ast.Module(node.orelse, []), asks)
+        elif isinstance(node, ast.Try):
+            caught = [each.type and ast.unparse(each.type) for each in node.handlers]
+            if not any(not each or any(a in each for a in asks) for each in caught):
+                yield from run_on_boards(node, asks)
+        elif not (
+            isinstance(node, ast.If)
+            and "AttributeError" in asks
+            and "hasattr" in ast.unparse(node.test)
         ):
-            continue
-        yield node
-        yield from _run_on_boards(node)
+            yield node
+            yield from run_on_boards(node, asks)

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,10 @@ def find_micropython() -> str | None:
     """Return the program ``micropython``: that of this environment, else of the path."""
     beside = Path(sys.executable).with_name("micropython")
     return str(beside) if beside.is_file() else shutil.which("micropython")
+
+
+def _by_pin(found: Mapping[Any, Any]) -> dict[int, Any]:
+    return {int(pin): each for pin, each in found.items()}
 
 
 @attrs.frozen
@@ -44,11 +48,11 @@ class Trial:
     steps: int
     late: int
     refused: int
-    faults: tuple[str, ...]
-    mistakes: tuple[str, ...]
-    pins: Mapping[int, bool]
+    faults: tuple[str, ...] = attrs.field(converter=tuple)
+    mistakes: tuple[str, ...] = attrs.field(converter=tuple)
+    pins: Mapping[int, bool] = attrs.field(converter=_by_pin)
     memory: int
-    owners: Mapping[int, tuple[str, ...]] = {}
+    owners: Mapping[int, Sequence[str]] = attrs.field(factory=dict, converter=_by_pin)
 
 
 def run_folder(folder: Path, *, seconds: float = 1.0, show: bool = False) -> Trial:
@@ -93,29 +97,14 @@ def run_folder(folder: Path, *, seconds: float = 1.0, show: bool = False) -> Tri
                 check=False,
             )
         except subprocess.TimeoutExpired as error:
-            raise ConfigError(
-                "esair min run",
-                str(folder),
-                f"it made no end after {seconds:g} s: does a device wait for ever?",
-            ) from error
+            told = f"it made no end after {seconds:g} s: does a device wait for ever?"
+            raise ConfigError("esair min run", str(folder), told) from error
         if not report.is_file():
-            text = b"" if show else done.stdout
-            raise ConfigError(
-                "esair min run",
-                str(folder),
-                f"the program ends with an error: {_shown(text, folder)}",
-            )
+            text = _shown(b"" if show else done.stdout, folder)
+            told = f"the program ends with an error: {text}"
+            raise ConfigError("esair min run", str(folder), told)
         found: dict[str, Any] = json.loads(report.read_text(encoding="utf-8"))
-    return Trial(
-        steps=found["steps"],
-        late=found["late"],
-        refused=found["refused"],
-        faults=tuple(found["faults"]),
-        mistakes=tuple(found["mistakes"]),
-        pins={int(key): bool(value) for key, value in found["pins"].items()},
-        memory=found["memory"],
-        owners={int(key): tuple(each) for key, each in found["owners"].items()},
-    )
+    return Trial(**found)
 
 
 def _shown(text: bytes, folder: Path) -> str:

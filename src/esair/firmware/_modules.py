@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import ast
 import importlib.util
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from esair.firmware._knowledge import what_boards_do_not_know
+from esair.firmware._knowledge import run_on_boards, what_boards_do_not_know
 
 KNOWN_MODULES: Final = frozenset(
     "array asyncio binascii bluetooth btree builtins cmath collections cryptolib deflate "
@@ -61,8 +61,10 @@ class Modules:
         except SyntaxError as error:
             self._misfit(key, f"module {name!r}: {error}")
             return
-        for node in imports_of(tree):
-            self._follow(node, name, is_package, key)
+        # An import in a try with an ImportError is the module's own concern.
+        for node in run_on_boards(tree, ["ImportError"]):
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                self._follow(node, name, is_package, key)
         if name.startswith("esair."):
             return  # they are tried on MicroPython by the tests
         for line, reason in what_boards_do_not_know(tree):
@@ -143,23 +145,3 @@ class Modules:
         if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
             return None
         return Path(spec.origin)
-
-
-def imports_of(tree: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
-    """Yield the imports that a board makes: not those for type checkers.
-
-    An import in a ``try`` with an ``except ImportError`` is the module's own concern.
-    """
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.Import | ast.ImportFrom):
-            yield node
-        elif isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            for other in node.orelse:
-                yield from imports_of(ast.Module([other], []))
-        elif isinstance(node, ast.Try) and any(
-            handler.type is None or "ImportError" in ast.unparse(handler.type)
-            for handler in node.handlers
-        ):
-            continue
-        else:
-            yield from imports_of(node)

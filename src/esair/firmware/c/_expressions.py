@@ -28,6 +28,7 @@ from esair.firmware.c._scope import (
     convert,
     equal,
     is_named,
+    join,
 )
 
 # What each operator is called for integers, for floats, and in Python.
@@ -298,7 +299,7 @@ class Expressions(Scope):
             asides.append(lines)
         kind = values[0].type
         for value in values:
-            kind = self.joined(kind, value.type, "`and`, `or`")
+            kind = join(self.types, kind, value.type, "`and`, `or`")
         if kind is NONE:
             raise RefusedError("`and`, `or` of None alone: write None")
         self.lines += asides[0]
@@ -329,7 +330,7 @@ class Expressions(Scope):
                 one = self.there(one)
             elif op is ast.Is and ast.dump(node.orelse) == asked:
                 other = self.there(other)
-        kind = self.joined(one.type, other.type, "the two sides of `if ... else`")
+        kind = join(self.types, one.type, other.type, "the two sides of `if ... else`")
         if kind is NONE:
             self.block(f"if ({test})", yes, no)
             return one
@@ -512,7 +513,7 @@ class Expressions(Scope):
         key, value = map(self.kept, self.operands(node.args))
         kind, text = value.type, value.text
         for known, each in reversed(found.items()):
-            kind = self.joined(kind, each.type, "the values of the dictionary")
+            kind = join(self.types, kind, each.type, "the values of the dictionary")
             if kind is not value.type:
                 raise RefusedError("None in the dictionary: write if and elif")
             test = self.pair(ast.Eq(), key, self.constant(known))

@@ -261,19 +261,14 @@ _MANY: Final = {inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD}
 
 @attrs.frozen
 class Value:
-    """What an expression gives; its text changes nothing, and can raise a fault.
-
-    Attributes:
-        type: Its type.
-        text: How C writes it.
-        simple: Whether it can be written twice, and after other statements too.
-        known: It, if it is a constant.
-    """
+    """What an expression gives; its text changes nothing, and can raise a fault."""
 
     type: Type
     text: str
     simple: bool = False
+    """Whether it can be written twice, and after other statements too."""
     known: Any = UNKNOWN
+    """It, if it is a constant."""
 
     @property
     def is_known(self) -> bool:
@@ -282,26 +277,15 @@ class Value:
 
 @attrs.define
 class Function:
-    """A function of Python for arguments of given types.
-
-    Attributes:
-        python: It.
-        c: What it is called in C.
-        kinds: The types of its parameters.
-        locals: The types of its names, as far as they are known.
-        result: What it returns, as far as that is known.
-        impure: Whether it changes ``self``.
-        timed: Whether it asks for the time.
-        lines: Its text.
-    """
+    """A function of Python for arguments of given types, as far as they are known."""
 
     python: Any
-    c: str
-    kinds: Mapping[str, Type]
+    c: str  # what it is called in C
+    kinds: Mapping[str, Type]  # of its parameters
     locals: dict[str, Type]
     result: Type | None = None
-    impure: bool = False
-    timed: bool = False
+    impure: bool = False  # whether it changes self
+    timed: bool = False  # whether it asks for the time
     lines: list[str] = attrs.Factory(list)
 
     def called(self, args: Mapping[str, Value]) -> str:
@@ -311,27 +295,21 @@ class Function:
 
 @attrs.define
 class Memory:
-    """What the functions of one reaction share.
-
-    Attributes:
-        reaction: It.
-        c: What it is called in C.
-        types: The types of the robot.
-        constants: The texts of constant tuples, and their names.
-        call: Translates a function for arguments.
-        ports: What the actuators of its ports take.
-        state: The types of the attributes that it changes.
-        changed: Whether something was learned about types, so all is translated anew.
-    """
+    """What the functions of one reaction share."""
 
     reaction: Any
-    c: str
+    c: str  # what it is called in C
     types: Types
     constants: dict[str, str]
+    """The texts of constant tuples, and their names."""
     call: Callable[[Any, Mapping[str, Value]], Function]
+    """Translates a function for arguments."""
     ports: Mapping[str, Type]
+    """What the actuators of its ports take."""
     state: dict[str, Type] = attrs.Factory(dict)
+    """The types of the attributes that it changes."""
     changed: bool = False
+    """Whether something was learned about types, so all is translated anew."""
 
     def learn(self, known: dict[str, Type], name: str, kind: Type, what: str) -> Type:
         """Return the type of a name or attribute, with one more use of it."""
@@ -423,7 +401,7 @@ class Scope:
         command: Type | None,
     ) -> None:
         self.memory, self.function = memory, function
-        self.types = memory.types
+        self.types, self.constant = memory.types, memory.constant
         self.lines: list[str] = []
         self.defined: set[str] = set(function.kinds)
         """The names that have a value wherever this line is reached."""
@@ -468,12 +446,6 @@ class Scope:
     def new_name(self) -> str:
         self._count += 1
         return f"t{self._count}"
-
-    def joined(self, one: Type, other: Type, what: str) -> Type:
-        return join(self.types, one, other, what)
-
-    def constant(self, value: Any) -> Value:
-        return self.memory.constant(value)
 
     def is_self(self, node: ast.expr) -> bool:
         return isinstance(node, ast.Name) and node.id == self._myself != ""
