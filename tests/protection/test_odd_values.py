@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 from collections.abc import AsyncIterator
-from typing import Any
+from typing import Any, NamedTuple
 
+import attrs
 import pytest
 
 import esair
 from esair import BehaviorState
+from esair.flaws import parts_of
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
@@ -138,3 +141,129 @@ async def test_a_stream_that_never_waits_keeps_nobody_waiting() -> None:
             await asyncio.sleep(0.01)
             late = max(late, loop.time() - asked)
     assert late < 0.2
+
+
+@attrs.frozen
+class Twist:
+    linear: float
+    steps: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Plain:
+    linear: float
+    steps: int = 0
+
+
+class Named(NamedTuple):
+    linear: float
+    steps: int = 0
+
+
+class Steps(int):
+    """Is within all limits, if one asks it."""
+
+    __lt__ = __le__ = __gt__ = __ge__ = lambda *_: True  # type: ignore[assignment]
+
+
+class Endless(float):
+    """Says that it is finite."""
+
+    def __sub__(self, other: object) -> float:
+        return 0.0
+
+
+class Agrees(float):
+    """Is within all limits, if one asks it."""
+
+    __lt__ = __le__ = __gt__ = __ge__ = lambda *_: True  # type: ignore[assignment]
+
+
+def _named(linear: float, steps: int) -> dict[str, float]:
+    return {"linear": linear, "steps": steps}
+
+
+SHAPES: list[Any] = [Twist, Plain, Named, _named]
+
+
+@pytest.mark.promise("AC-1", "AC-5")
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("clamp", [False, True])
+async def test_a_field_cannot_compare_as_it_likes(shape: Any, *, clamp: bool) -> None:
+    """Its limits count for the number that it is, and a plain one leaves."""
+    wheels: FakeActuator[Any] = FakeActuator(
+        "wheels",
+        safe=shape(0.0, 0),
+        limits={"linear": (-1.0, 1.0), "steps": (0, 5)},
+        clamp=clamp,
+    )
+    drive: Any = esair.Behavior(name="drive", writes={"wheels": esair.writes(Any)})
+    async with esair.Robot(resources=[wheels], behaviors=[drive]):
+        for odd, near in (
+            (shape(Agrees(7.0), 1), shape(1.0, 1)),
+            (shape(0.5, Steps(9)), shape(0.5, 5)),
+        ):
+            if clamp:
+                assert await drive.wheels.write(odd)
+                assert wheels.commands[-1] == near
+            else:
+                with pytest.raises(esair.BadValueError, match="expected"):
+                    await drive.wheels.write(odd)
+        assert await drive.wheels.write(shape(Agrees(0.5), Steps(3)))
+        assert repr(wheels.commands[-1]) == repr(shape(0.5, 3))
+        parts = [part for _, part in parts_of(wheels.commands[-1])]
+        assert {float, int} <= set(map(type, parts)) <= {float, int, str}
+
+
+@pytest.mark.promise("AC-1")
+@pytest.mark.parametrize("shape", SHAPES)
+async def test_a_field_cannot_say_that_it_is_finite(shape: Any) -> None:
+    """Whatever its own class computes."""
+    wheels: FakeActuator[Any] = FakeActuator("wheels", safe=shape(0.0, 0))
+    drive: Any = esair.Behavior(name="drive", writes={"wheels": esair.writes(Any)})
+    async with esair.Robot(resources=[wheels], behaviors=[drive]):
+        with pytest.raises(esair.BadValueError, match="finite"):
+            await drive.wheels.write(shape(Endless("inf"), 0))
+
+
+@pytest.mark.promise("AC-1")
+async def test_a_field_cannot_change_faster_than_it_may() -> None:
+    """How fast it changes counts for the number that it is."""
+    wheels: FakeActuator[Any] = FakeActuator(
+        "wheels", safe=Twist(0.0), slew={"linear": 1.0}
+    )
+    drive: Any = esair.Behavior(name="drive", writes={"wheels": esair.writes(Any)})
+    async with esair.Robot(resources=[wheels], behaviors=[drive]):
+        written = await drive.wheels.write(Twist(Lies(5.0)))
+        assert abs(written.command.linear) <= 0.2
+
+
+@pytest.mark.promise("PRO-6")
+async def test_a_guard_cannot_let_more_pass_than_was_asked() -> None:
+    """Whatever the number that it returns says of itself."""
+
+    class More(esair.Reaction):
+        wheels = esair.guards(Twist)
+        sonar = esair.reads(float)
+
+        def react(self, sonar: float, wheels: Twist) -> Twist:
+            return Twist(Agrees(9.0))
+
+    wheels: FakeActuator[Any] = FakeActuator("wheels", safe=Twist(0.0))
+    sonar = FakeSensor("sonar", 1.0, type=float)
+    drive: Any = esair.Behavior(name="drive", writes={"wheels": esair.writes(Any)})
+    async with esair.Robot(resources=[wheels, sonar], behaviors=[drive, More()]):
+        assert not await drive.wheels.write(Twist(0.5))
+    assert set(wheels.commands) == {Twist(0.0)}
+
+
+@pytest.mark.promise("SC-3")
+async def test_a_reading_cannot_compare_as_it_likes() -> None:
+    """What is outside of its limits reaches no action."""
+    sonar = FakeSensor("sonar", 1.0, type=float)
+    sonar.limits = (0.0, 4.0)
+    user: Any = esair.Behavior(name="user", reads={"sonar": esair.reads(float)})
+    async with esair.Robot(resources=[sonar], behaviors=[user]):
+        sonar.feed(Agrees(9.0))
+        with pytest.raises(esair.DeviceFaultError, match="expected 0 to 4"):
+            await user.sonar.read(fresh=True)

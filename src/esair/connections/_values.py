@@ -27,6 +27,7 @@ from esair.flaws import (
     Flaw,
     fields_of,
     flaw,
+    honest,
     is_fixed,
     is_frozen,
     parts_of,
@@ -63,6 +64,7 @@ def is_weaker(result: Any, command: Any, safe: Any) -> bool:
     if result is command:
         return True
     if _is_number(result) and _is_number(command):
+        result, command, safe = honest(result), honest(command), honest(safe)
         if isinstance(result, float) and not math.isfinite(result):
             return False
         if _is_number(safe):
@@ -83,6 +85,7 @@ def weaker_of(one: Any, other: Any, safe: Any) -> Any:
     What cannot be compared is as in the first one.
     """
     if _is_number(one) and _is_number(other) and _is_number(safe):
+        one, other, safe = honest(one), honest(other), honest(safe)
         return one if abs(one - safe) <= abs(other - safe) else other
     parts = _pairs(one, other)
     if parts is None:
@@ -341,7 +344,8 @@ class CommandCheck:
         changes: dict[str, float] = {}
         for field, slew in self._slew.items():
             try:
-                value, before = part_of(command, field), part_of(last, field)
+                value = honest(part_of(command, field))
+                before = honest(part_of(last, field))
             except (AttributeError, LookupError):
                 raise self._bad(
                     field, "its change is limited: each command must have it"
@@ -396,8 +400,11 @@ class CommandCheck:
         changes: dict[str, float] = {}
         for field, (low, high) in self._limits.items():
             try:
-                value = part_of(command, field)
+                given = part_of(command, field)
+                value = honest(given)
                 if low <= value <= high:
+                    if value is not given and not isinstance(given, enum.Enum):
+                        changes[field] = value
                     continue
             except (AttributeError, LookupError, TypeError):
                 if self._own_check is not None:  # which knows more about it
@@ -550,7 +557,7 @@ class ReadingCheck:
 
     def _outside(self, value: Any) -> str | None:
         for field, (low, high) in self._limits.items():
-            number = part_of(value, field)
+            number = honest(part_of(value, field))
             if not low <= number <= high:
                 what = f"{field} = {number!r:.80}" if field else f"{number!r:.80}"
                 return f"expected {low:g} to {high:g}, it gave {what}"
