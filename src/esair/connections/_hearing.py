@@ -14,6 +14,8 @@ from collections.abc import (
 )
 from typing import TYPE_CHECKING, Any
 
+import attrs
+
 from esair.connections._calls import Call, Calls, End, Method, stamped
 from esair.exceptions import BusyError, DeviceLostError, EsairError
 from esair.loop import (
@@ -27,13 +29,12 @@ from esair.loop import (
     Scheduler,
     TapeWriter,
     arrive,
-    clock_of,
 )
 from esair.messages import Reading, ResourceState
 from esair.resources import Sensor
 
 if TYPE_CHECKING:
-    from esair.connections._device import Device
+    from esair.connections._sensor_channel import SensorChannel
 
 READY = ResourceState.READY  # hot
 
@@ -46,75 +47,40 @@ LISTEN_AGAIN = 0.1
 """The pause before a stream that raised is asked for again, in seconds."""
 
 
+@attrs.define(eq=False)
 class Asking:
-    """Asks one device by one question at a time, whoever wants to know, or in time.
+    """Asks one device by one question at a time, whoever wants to know, or in time."""
 
-    Attributes:
-        busy: The question that waits for its answer, or the call of something else that
-            keeps the device busy; True while one is in its first step.
-        waiting: Who waits for an answer.
-        transactions: How many times the device was asked.
-        missed: How many polls were left out because it had not answered yet.
-        awaited_in: The turn in which it was polled, while that poll is not answered; or
-            0.
-        latency: How long the device took lately at most, in seconds; what is past fades.
-    """
+    _device: SensorChannel
+    _scheduler: Scheduler = attrs.field(init=False)
+    _read: Method = attrs.field(init=False)
+    _deadline: float = 0.0
+    _awaiting: list[Callable[[], None]] = attrs.field(factory=list)
+    _begun: float = 0.0
+    _old_before: float = 0.0
+    """A question from before this moment gives an answer from before it."""
+    _poll: Job | None = None
+    _polled_in: int = 0
+    _soon: asyncio.Handle | Deadline | None = None
+    """Asks the device in the next turn, for all who have asked in this one."""
+    waiting: WaitingReaders = attrs.field(init=False)
+    busy: Call | bool = False
+    """The question that waits for its answer, or the call of something else that keeps
+    the device busy; True while one is in its first step."""
+    transactions: int = 0  # how many times the device was asked
+    missed: int = 0  # how many polls were left out: it had not answered yet
+    awaited_in: int = 0  # the turn whose poll is not answered yet; or 0
+    latency: float = 0.0  # how long it took lately at most, in s; what is past fades
+    rate: float = 0.0  # how often it is polled, in Hz; 0 if it cannot be asked
 
-    __slots__ = (
-        "_awaiting",
-        "_begun",
-        "_deadline",
-        "_device",
-        "_fail",
-        "_old_before",
-        "_poll",
-        "_polled_in",
-        "_publish",
-        "_read",
-        "_scheduler",
-        "_soon",
-        "awaited_in",
-        "busy",
-        "latency",
-        "missed",
-        "rate",
-        "transactions",
-        "waiting",
-    )
-
-    def __init__(
-        self,
-        device: Device,
-        *,
-        publish: Callable[[Any, float], None],
-        fail: Callable[[BaseException, float], None],
-        silent: Callable[[float], EsairError],
-    ) -> None:
-        self._device = device
-        self._publish = publish  # given the answer, and of which transaction it is
-        self._fail = fail  # given the error that came instead
-        self._scheduler = Scheduler.of(device.loop)
-        self._awaiting: list[Callable[[], None]] = []
-        self._begun = 0.0
-        self._old_before = 0.0
-        """A question from before this moment gives an answer from before it."""
-        self._poll: Job | None = None
-        self._polled_in = 0
-        self._soon: asyncio.Handle | Deadline | None = None
-        """Asks the device in the next turn, for all who have asked in this one."""
-        self.waiting: WaitingReaders = WaitingReaders(device.name, device.loop, silent)
-        self.awaited_in: int = 0
-        self.transactions: int = 0
-        self.missed: int = 0
-        self.latency: float = 0.0
-        self.busy: Call | bool = False
-        self.rate: float = 0.0
+    def __attrs_post_init__(self) -> None:
+        self._scheduler = Scheduler.of(self._device.loop)
+        self.waiting = WaitingReaders(self._device)
 
     def configured(self, sensor: Sensor[Any]) -> None:
         """Take over a changed deadline, or rate."""
         self._deadline = sensor.deadline
         self.rate = sensor.rate if sensor.can_be_asked else 0.0
-        """How often it is polled, in Hz; 0 if it cannot be asked."""
         if sensor.can_be_asked:
             self._read = self._device.driver.method("read")
 
@@ -207,7 +173,7 @@ class Asking:
         except Exception as error:
             self.busy = False
             if opening == calls.opening:
-                self._fail(error, number)
+                self._device.fail(error, number)
         else:
             if type(value) is Call:
                 value.apply = self._ended
@@ -215,8 +181,7 @@ class Asking:
                 return
             self.busy = False
             if opening == calls.opening:
-                publish = self._publish  # hot
-                publish(value, number)
+                self._device.publish(value, number)
             else:  # its device was lost by this very call
                 calls.late += 1
         if self._device.operations.current is not None or self.waiting.readers:
@@ -231,9 +196,9 @@ class Asking:
             spent = self._device.time() - self._begun
             self.latency = max(spent, 0.75 * self.latency)
         if end.error is not None:
-            self._fail(end.error, self.transactions)
+            self._device.fail(end.error, self.transactions)
         elif call.begun >= self._old_before:  # else who waits has it asked again
-            self._publish(end.value, self.transactions)
+            self._device.publish(end.value, self.transactions)
         if polled:
             self.answered()
         self.free()
@@ -268,44 +233,30 @@ SOON = 0.001
 """The shortest pause before a device is asked again that has measured too early, in s."""
 
 
+@attrs.define(eq=False)
 class WaitingReaders:
     """Keeps readers until the answer to a question that came after theirs."""
 
-    __slots__ = (
-        "_deadline",
-        "_loop",
-        "_name",
-        "_silent",
-        "_time",
-        "behind",
-        "readers",
-        "turned_away",
-    )
+    _device: SensorChannel
+    _deadline: Deadline = attrs.field(init=False)
+    """That of the reader whose time is over first."""
+    readers: list[Waiter] = attrs.field(factory=list)  # who waits
+    behind: float = 0.0
+    """By how much the last answer was measured too early for who waits still, in s."""
+    turned_away: int = 0
 
-    def __init__(
-        self,
-        name: str,
-        loop: asyncio.AbstractEventLoop,
-        silent: Callable[[float], EsairError],
-    ) -> None:
-        self._name = name
-        self._loop = loop
-        self._silent = silent
-        self._time = clock_of(loop)
-        self._deadline = Deadlines.of(loop).idle(self._expire)
-        """That of the reader whose time is over first."""
-        self.readers: list[Waiter] = []  # who waits
-        self.behind: float = 0.0
-        """By how much the last answer was measured too early for who waits still, in s."""
-        self.turned_away: int = 0
+    def __attrs_post_init__(self) -> None:
+        self._deadline = Deadlines.of(self._device.loop).idle(self._expire)
 
     async def reading(self, need: float, timeout: float, since: float) -> Reading[Any]:
         """Wait for what transaction `need` gives, or a later one, measured since then."""
         if len(self.readers) >= WAITING_LIMIT:
             self.turned_away += 1
-            raise BusyError(self._name, "number of waiting readers", WAITING_LIMIT)
-        future: asyncio.Future[Reading[Any]] = self._loop.create_future()
-        until = self._time() + timeout
+            raise BusyError(
+                self._device.name, "number of waiting readers", WAITING_LIMIT
+            )
+        future: asyncio.Future[Reading[Any]] = self._device.loop.create_future()
+        until = self._device.time() + timeout
         waiter = (need, future, until, timeout, since)
         self.readers.append(waiter)
         self._deadline.start_by(until)
@@ -342,30 +293,22 @@ class WaitingReaders:
             self._deadline.cancel()
 
     def _expire(self) -> None:
-        now = self._time()
+        now = self._device.time()
         for _, future, until, timeout, _ in self.readers:
             if future.done():
                 continue
             if now + REACHED < until:
                 self._deadline.start_by(until)
             else:
-                future.set_exception(self._silent(timeout))
+                future.set_exception(self._device.silent(timeout))
 
 
 class Listening:
     """Brings in what one sensor pushes, while the opening lasts that it belongs to."""
 
-    def __init__(
-        self,
-        device: Device,
-        loop: asyncio.AbstractEventLoop,
-        *,
-        publish: Callable[[Any, float], None],
-        fail: Callable[[BaseException, float], None],
-    ) -> None:
+    def __init__(self, device: SensorChannel) -> None:
         self._device = device
-        self._publish, self._fail = publish, fail
-        self._door = Door.of(loop)
+        self._door = Door.of(device.loop)
         self._tag = (device.name, "pushed")
         if self._door.player is not None:
             self._door.player.listen(self._tag, lambda it: self._pushed(*it))
@@ -459,6 +402,6 @@ class Listening:
         if isinstance(self._door.tape, TapeWriter):
             self._door.tape.arrived(self._tag, (value, error, opening))
         if error is None:
-            self._publish(value, math.inf)
+            self._device.publish(value, math.inf)
         else:
-            self._fail(error, math.inf)
+            self._device.fail(error)

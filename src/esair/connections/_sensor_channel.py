@@ -97,12 +97,8 @@ class SensorChannel(Device):
         """How many readings a slow follower has not seen, or came after newer ones."""
         self.sequence: int = 0
         self._followers: tuple[Follower, ...] = ()
-        self.asking: Asking = Asking(
-            self, publish=self.publish, fail=self._fail, silent=self._silent
-        )
-        self._listening = Listening(
-            self, self.loop, publish=self.publish, fail=self._fail
-        )
+        self.asking: Asking = Asking(self)
+        self._listening = Listening(self)
         self.attach(sensor)
 
     def attach(self, sensor: Sensor[Any]) -> None:
@@ -254,7 +250,7 @@ class SensorChannel(Device):
         if self.state is not READY:
             raise self.absence()
 
-    def _silent(self, timeout: float) -> StaleReadingError:
+    def silent(self, timeout: float) -> StaleReadingError:
         """Make the error of a reader whom the device has not answered in time."""
         newest, now = self.newest, self.time()
         if newest is None:
@@ -321,10 +317,6 @@ class SensorChannel(Device):
 
     # Values.
 
-    def fail(self, error: BaseException) -> None:
-        """Take note of what came instead of a value; those who wait are told."""
-        self._fail(error, math.inf)
-
     def publish(self, value: Any, number: float) -> None:
         """Give a new value to everybody who waits or follows."""
         clock, check = self.time, self._check  # hot
@@ -347,7 +339,7 @@ class SensorChannel(Device):
             if check.frozen is not None:
                 wrong = check.frozen(value)
         if wrong is not None:
-            self._fail(DeviceFaultError(self.name, wrong), number)
+            self.fail(DeviceFaultError(self.name, wrong), number)
             return
         newer = self.newest
         if time is not None and newer is not None and self._overtaken(newer, time):
@@ -379,7 +371,8 @@ class SensorChannel(Device):
         is_one = isinstance(newer, StampedReading) and newer.is_stamped
         return is_one and not self.sensor.is_computed and time < newer.time
 
-    def _fail(self, error: BaseException, number: float) -> None:
+    def fail(self, error: BaseException, number: float = math.inf) -> None:
+        """Take note of what came instead of a value; those who wait are told."""
         deadline = self.sensor.deadline
         translated = translate_call(self.name, "read", deadline, error)
         self.asking.waiting.answer(number, translated)
