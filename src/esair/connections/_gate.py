@@ -16,6 +16,8 @@ import sys
 from collections.abc import Callable, Generator, Iterable, Iterator
 from typing import TYPE_CHECKING, NamedTuple, Self
 
+import attrs
+
 from esair.exceptions import (
     BusyError,
     DeviceLostError,
@@ -290,31 +292,27 @@ class BeingReplacedError(DeviceLostError):
     """The user is about to put another device in its place; no device was lost."""
 
 
+@attrs.define(eq=False)
 class Gate:
     """What can keep every command from one actuator, whoever holds it.
 
     Whatever shuts it raises one of the two numbers in the same step, so that a thread
     which is about to call the driver needs to look at those alone (`ticket`).
 
-    Attributes:
-        device: Its state, and why it is not ready.
-        holds: The blind holds in force, the highest first.
-        latched: The robot stops: only the safe command leaves from now on.
-        halts: Grows with each halt: a command from before is never sent after it.
-        fence: Grows when the actuator is made safe, or is gone, or is about to go: what
-            was begun before leaves no more.
-        since: Since when it is being replaced, on the event loop's clock (seconds).
     """
 
-    __slots__ = ("device", "fence", "halts", "holds", "latched", "since")
-
-    def __init__(self, device: Device) -> None:
-        self.device: Device = device
-        self.holds: tuple[Protection, ...] = ()
-        self.latched: bool = False
-        self.halts: int = 0
-        self.fence: int = 0
-        self.since: float = 0.0
+    device: Device
+    holds: tuple[Protection, ...] = ()
+    """The blind holds in force, the highest first."""
+    latched: bool = False
+    """The robot stops: only the safe command leaves from now on."""
+    halts: int = 0
+    """Grows with each halt: a command from before is never sent after it."""
+    fence: int = 0
+    """Grows when the actuator is made safe, or is gone, or is about to go: what was begun
+    before leaves no more."""
+    since: float = 0.0
+    """Since when it is being replaced, on the event loop's clock (seconds)."""
 
     @property
     def numbers(self) -> tuple[int, int]:
@@ -352,30 +350,16 @@ class Gate:
         )
 
 
+@attrs.define(eq=False)
 class Hold:
-    """Who holds one actuator and until when, and whose will it does.
+    """Who holds one actuator and until when, and whose will it does."""
 
-    Attributes:
-        holder: Who has written last, or operates it; None if it was given back.
-        since: Since when it is the holder.
-        begun: When it has written last, or when its operation must have ended.
-        seconds: For how long it holds it after that.
-        writer: Whose command stands; None if that was taken back, or is nobody's.
-        written: When somebody has written last.
-    """
-
-    written: float
-    since: float
-    seconds: float
-
-    begun: float
-
-    __slots__ = ("begun", "holder", "seconds", "since", "writer", "written")
-
-    def __init__(self) -> None:
-        self.holder: Registration | None = None
-        self.writer: Registration | None = None
-        self.since = self.begun = self.seconds = self.written = 0.0
+    holder: Registration | None = None  # who wrote last; None if it was given back
+    since: float = 0.0  # since when that is the holder
+    begun: float = 0.0  # when it wrote last, or when its operation must have ended
+    seconds: float = 0.0  # for how long it holds it after that
+    writer: Registration | None = None  # whose command stands; None if it is nobody's
+    written: float = 0.0  # when somebody has written last
 
     @property
     def until(self) -> float:

@@ -13,6 +13,8 @@ import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
+import attrs
+
 from esair.connections._calls import Apply, Call
 from esair.connections._gate import Gate, Hold, verdict
 from esair.connections._values import is_opaque, is_same, is_weaker, weaker_of
@@ -52,51 +54,36 @@ _GRACE = 1e-5  # more than `REACHED`
 _log = logging.getLogger("esair")
 
 
+@attrs.define(eq=False)
 class Protection:
-    """What one component has over one actuator.
+    """What one component has over one actuator."""
 
-    Attributes:
-        component: Whose it is.
-        actuator: The name of the actuator.
-        priority: Of a hold: writes with it or less are refused. Of a guard: higher is
-            asked earlier.
-        guards: Whether it is a guard; else it is a hold, in force while blind.
-        reason: Why the component cannot decide, in words; empty if it can.
-        since: Since when, on the event loop's clock (seconds).
-        latched: Why nothing passes until the user resets it; empty if it is not.
-        muted_until: Until when it lets everything pass, by the user's will.
-    """
+    component: str  # whose it is
+    actuator: str  # its name
+    priority: int
+    """Of a hold: writes with it or less are refused. Of a guard: higher is asked earlier."""
+    label: str = attrs.field(default="", kw_only=True)  # how it is called in words
+    guards: bool = attrs.field(default=False, kw_only=True)
+    """Whether it is a guard; else it is a hold, in force while blind."""
+    latch: bool = attrs.field(default=False, kw_only=True)
+    fallback: Judge | None = attrs.field(default=None, kw_only=True)
+    """Of a guard: what decides while it is blind."""
+    reason: str = UNDECIDED  # why it cannot decide, in words; empty if it can
+    since: float = 0.0  # since when, on the event loop's clock (seconds)
+    latched: str = ""  # why nothing passes until the user resets it; empty if it does
+    muted_until: float = 0.0  # until when all passes, by the user's will
+    muted_for: str = ""  # the user's reason, while it is muted
+    judge: Judge | None = None  # of a guard that runs: what decides
+    on_crash: Callable[[BaseException], None] = ignore
+    """Told, outside of the commit point, what the guard has raised."""
+    stopping: str = ""
+    """Why the guard has refused the last command; empty if that has passed."""
+    refused: Any = None  # the command that has latched the guard
 
-    def __init__(
-        self,
-        component: str,
-        actuator: str,
-        priority: int,
-        *,
-        label: str | None = None,
-        guards: bool = False,
-        latch: bool = False,
-        fallback: Judge | None = None,
-    ) -> None:
-        self.component = component
-        self.actuator = actuator
-        self.priority: int = priority if guards else min(priority, HOLD_LIMIT)
-        self.label: str = label or component
-        self.guards = guards
-        self.latch = latch
-        self.reason: str = UNDECIDED
-        self.since: float = 0.0
-        self.latched: str = ""
-        self.muted_until: float = 0.0
-        self.muted_for = ""  # the user's reason, while it is muted
-        self.judge: Judge | None = None
-        """Of a guard: what decides; None while the guard does not run."""
-        self.fallback = fallback  # of a guard: what decides while it is blind
-        self.on_crash: Callable[[BaseException], None] = ignore
-        """Told, outside of the commit point, what the guard has raised."""
-        self.stopping: str = ""
-        """Why the guard has refused the last command; empty if that has passed."""
-        self.refused: Any = None  # the command that has latched the guard
+    def __attrs_post_init__(self) -> None:
+        self.label = self.label or self.component
+        if not self.guards:
+            self.priority = min(self.priority, HOLD_LIMIT)
 
     @property
     def rule(self) -> str:
@@ -419,49 +406,30 @@ class Guards:
         return next((guard for guard in self.all if guard.stops), None)
 
 
+@attrs.define(eq=False)
 class Stillness:
     """Makes one actuator safe when nobody may move it, or nobody has for a time."""
 
-    __slots__ = (
-        "_device",
-        "_gate",
-        "_guards",
-        "_hold",
-        "_look",
-        "_safe",
-        "_stilled_in",
-        "_turn",
-        "_wire",
-        "dead_man",
-        "timeouts",
-    )
+    _device: Device
+    _gate: Gate
+    _hold: Hold
+    _guards: Guards
+    _wire: Wire
+    _safe: SafeCommand
+    _turn: Any = attrs.field(init=False)
+    _look: Deadline = attrs.field(init=False)
+    dead_man: DeadMan = attrs.field(init=False)
+    _stilled_in: int = -1  # the turn in which protection has made it safe
+    timeouts: int = 0  # how often it was made safe because nobody wrote
 
-    def __init__(
-        self,
-        device: Device,
-        gate: Gate,
-        hold: Hold,
-        guards: Guards,
-        wire: Wire,
-        safe: SafeCommand,
-    ) -> None:
-        self._device = device
-        self._gate = gate
-        self._hold = hold
-        self._guards = guards
-        self._wire = wire
-        self._safe = safe
-        self._turn = turn_of(device.loop)
-        self._stilled_in = -1  # the turn in which protection has made it safe
+    def __attrs_post_init__(self) -> None:
+        loop = self._device.loop
+        self._turn = turn_of(loop)
+        self.dead_man = DeadMan(loop, self.dies, self.dead)
         # A hold is over, like a reading that is too old: that is not put off.
         self._look = Deadline(
-            Deadlines.of(device.loop),
-            self.keep_still,
-            order=Order.STALE,
-            is_patient=False,
+            Deadlines.of(loop), self.keep_still, order=Order.STALE, is_patient=False
         )
-        self.dead_man: DeadMan = DeadMan(device.loop, self.dies, self.dead)
-        self.timeouts: int = 0  # how often it was made safe because nobody wrote
 
     def disarm(self) -> None:
         """It is safe, or gone: nobody holds it, and what was begun before is fenced."""

@@ -62,27 +62,18 @@ class Watched(Protocol):
         """Hear that it has taken its safe command."""
 
 
+@attrs.define(eq=False)
 class Told:
-    """What one actuator was told last.
+    """What one actuator was told last."""
 
-    Attributes:
-        command: That, as nobody else can change it.
-        is_safe: Whether it is the safe command, sent as such.
-        error: Why its driver has not taken it, in words; empty if it has.
-        at: When it was told something that nobody wrote: safe, or less by a guard.
-        base: Where the device is, as far as it has said, while it was told to stay.
-        is_undone: A motion has ended since, which may have undone it.
-    """
-
-    __slots__ = ("at", "base", "command", "error", "is_safe", "is_undone")
-
-    def __init__(self) -> None:
-        self.command: Any = None
-        self.is_safe: bool = False
-        self.error: str = "it was never told anything"
-        self.at: float = 0.0
-        self.base: Any = None
-        self.is_undone: bool = False
+    command: Any = None  # as nobody else can change it
+    is_safe: bool = False  # whether it is the safe command, sent as such
+    error: str = "it was never told anything"  # why not; empty if its driver took it
+    at: float = 0.0  # when it was told what nobody wrote: safe, or less by a guard
+    base: Any = None  # where it is, as far as it has said, while it was told to stay
+    is_undone: bool = (
+        False  # whether a motion has ended since, which may have undone it
+    )
 
     @property
     def place(self) -> Any:
