@@ -471,7 +471,8 @@ class Member:
         self.give_up()
         self._end_requests()
         self.mail.run_over(None)
-        wake(*self.mail.takers)
+        if self.mail.takers:
+            wake(*self.mail.takers)
 
     def stopped(self) -> None:
         """Its tasks have ended, or would not: it is gone."""
