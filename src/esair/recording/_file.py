@@ -18,27 +18,6 @@ CHUNK = 1 << 20  # The largest chunk in bytes; time ends it earlier (`Segment.fl
 _json = json.JSONEncoder(allow_nan=False).encode
 
 
-def _encoder() -> Callable[[Any], bytes]:
-    """Return what makes bytes of a message: quickly, and of all that JSON has."""
-
-    def slow(message: Any) -> bytes:
-        return _json(message).encode()
-
-    try:
-        from msgspec.json import Encoder
-    except ImportError:  # an environment from before it was asked for
-        return slow
-    quick = Encoder().encode
-
-    def encode(message: Any) -> bytes:
-        try:
-            return quick(message)
-        except (OverflowError, TypeError, UnicodeEncodeError):  # 65 bits, NumPy's
-            return slow(message)
-
-    return encode
-
-
 class _Out:
     """What the writer writes to; it keeps the error, which the writer would log."""
 
@@ -84,6 +63,7 @@ class Segment:
     def __init__(self, path: Path) -> None:
         import foxglove
         from foxglove.mcap import MCAPWriteOptions
+        from msgspec.json import Encoder
 
         self.path = path
         self.messages = 0  # How many messages were handed to the file
@@ -96,7 +76,7 @@ class Segment:
         # Held here: channels of a context that nobody holds are closed silently.
         self._context = foxglove.Context()
         self._channels: dict[str, Any] = {}
-        self._encode = _encoder()
+        self._encode = Encoder().encode
         self._writer = foxglove.open_mcap(
             self._out,  # type: ignore[arg-type]
             context=self._context,
@@ -120,7 +100,10 @@ class Segment:
 
     def write(self, topic: str, schema: str, message: Any, when: float) -> None:
         """Write a message."""
-        data = self._encode(message)
+        try:
+            data = self._encode(message)
+        except (OverflowError, TypeError, UnicodeEncodeError):  # 65 bits, NumPy's
+            data = _json(message).encode()
         channel = self._channels.get(topic)
         if channel is None:
             shape = {"title": schema, **schema_of(message)}
