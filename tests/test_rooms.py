@@ -72,7 +72,7 @@ PARTS_OF_ONE = {
     "esair.supervisors": {
         *("_behavior_deployment", "_member", "_grants"),
         *("_mediator", "_requests"),
-        *("_resource_deployment", "_resource_life", "_watching"),
+        *("_control_path", "_resource_deployment", "_resource_life", "_watching"),
     },
     "esair.torture": {"_judge", "_kinds", "_life", "_world"},
 }

@@ -591,7 +591,7 @@ class Robot:
         if self._seat.is_wanted:
             self._seat.take(closed=repeats(loop))
         self._entered = True
-        self._resources.wake()
+        self._resources.commands.wake()
         self._behaviors.wake()
         if self.seed is None:
             virtual = turn_of(loop).virtual

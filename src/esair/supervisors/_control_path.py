@@ -6,15 +6,13 @@ By the developer's policies, and by the declarations of the classes.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable, Mapping, Set
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any
 
 from esair.connections import (
-    ActuatorConnection,
     AppliedChannel,
     Registration,
     Registrations,
-    SensorConnection,
     Terms,
 )
 from esair.exceptions import (
@@ -36,6 +34,9 @@ from esair.resources import APPLIED, check_settings, operation_of, shown
 from esair.supervisors._resource_life import ResourceLife
 from esair.values import check_party, is_positive
 
+if TYPE_CHECKING:
+    from esair.supervisors._resource_deployment import ResourceDeployment
+
 Declared = Callable[[str, str], Access]
 """What the class of a behavior declares to do with a resource."""
 
@@ -55,26 +56,19 @@ class ControlPath:
 
     def __init__(
         self,
-        registrations: Registrations,
+        resources: ResourceDeployment,
         policies: Iterable[Policy],
         declared: Declared,
         meet: Callable[[str, str], bool],
-        lives: Mapping[str, ResourceLife],
-        leaving: Set[str],
-        sensors: SensorConnection,
-        actuators: ActuatorConnection,
     ) -> None:
-        self.registrations = registrations
+        self._resources = resources
+        self.registrations: Registrations = resources.registrations
         # What is no policy, or one too many, is found before the robot starts.
         self.policies: dict[str, Policy] = {
             each.resource: each for each in policies if isinstance(each, Policy)
         }
         self._declared = declared
         self._meet = meet  # whether two run in the same mode
-        self._lives = lives
-        self._leaving = leaving
-        self._sensors = sensors
-        self._actuators = actuators
         self.turned_away: int = 0  # how many operations there was no room for
         self.closed = False  # the robot stops: nobody gets a right any more
 
@@ -98,7 +92,7 @@ class ControlPath:
             raise AccessDeniedError(
                 behavior, resource, "nothing", "ask for some access"
             )
-        is_actuator = resource in self._actuators.channels
+        is_actuator = resource in self._resources.actuators.channels
         wrong = access & (Access.READ if is_actuator else Access.WRITE | Access.GUARD)
         if wrong:
             kind = "an actuator is written" if is_actuator else "a sensor is read"
@@ -137,22 +131,22 @@ class ControlPath:
     def _provider(self, resource: str) -> str:
         """Return the actuator if a name is that of its last command."""
         actuator = resource.removesuffix(APPLIED)
-        return actuator if actuator in self._actuators.channels else resource
+        return actuator if actuator in self._resources.actuators.channels else resource
 
     def _check_there(self, resource: str, provider: str) -> None:
         if self.closed:
             raise StoppingError("resources", SupervisorPhase.STOPPED.value)
-        if provider not in self._lives:
-            raise UnknownNameError("resource", resource, self._lives)
-        if provider in self._leaving:
+        if provider not in self._resources.lives:
+            raise UnknownNameError("resource", resource, self._resources.lives)
+        if provider in self._resources.leaving:
             raise ResourceRemovedError(resource)
 
     def _tell_applied(self, actuator: str) -> None:
         """Have the last command of an actuator as a reading, from now on."""
-        channel = self._actuators.channels[actuator]
+        channel = self._resources.actuators.channels[actuator]
         if channel.wire.applied is None:
             applied = AppliedChannel(channel.actuator, self.registrations)
-            self._sensors.channels[applied.name] = applied
+            self._resources.sensors.channels[applied.name] = applied
             channel.tell_applied(applied)
 
     def revoke(
@@ -160,7 +154,7 @@ class ControlPath:
     ) -> None:
         """Make a registration void in one step; its actuator is made safe."""
         if self.registrations.revoke(registration, reason):
-            life = self._lives.get(registration.resource)
+            life = self._resources.lives.get(registration.resource)
             if life is not None:
                 life.channel.drop(registration)
 
@@ -227,7 +221,7 @@ class ControlPath:
                 str(Access.CONFIGURE),
                 f"it is registered to {registration.access} only: declare configure=True",
             )
-        life = self._lives[registration.resource]
+        life = self._resources.lives[registration.resource]
         if life.channel.state is not ResourceState.READY:
             raise life.channel.absence()
         return life

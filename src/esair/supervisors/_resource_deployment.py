@@ -5,8 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from esair.actions import Derived
@@ -58,46 +57,34 @@ BUS_TIMEOUT = 2.0  # how long a bus may take to open or to close, in seconds
 _log = logging.getLogger("esair")
 
 
-async def open_buses(buses: Iterable[Bus]) -> None:
-    """Open buses; one that is not there is tried again by the devices on it."""
-    await _each(buses, "open", lambda bus: bus.open(), BUS_TIMEOUT, logging.DEBUG)
-
-
-async def close_buses(
-    buses: Iterable[Bus],
-    within: float = BUS_TIMEOUT,
-    unless: Callable[[Bus], bool] = lambda _bus: False,
-) -> None:
-    """Close buses, whatever state they are in; each has so many seconds.
-
-    Whether one is to be left open is asked in the very step in which it is closed.
-    """
-
-    async def close(bus: Bus) -> None:
-        if not unless(bus):
-            await bus.close()
-
-    in_order = sorted(buses, key=lambda bus: bus.name)
-    await _each(in_order, "close", close, within, logging.WARNING)
-
-
-async def _each(
+async def on_buses(
     buses: Iterable[Bus],
     verb: str,
-    work: Callable[[Bus], Coroutine[Any, Any, None]],
-    within: float,
-    level: int,
+    *,
+    within: float = BUS_TIMEOUT,
+    unless: Callable[[Bus], bool] = lambda _: False,
 ) -> None:
+    """Open or close buses, whatever state they are in; each has so many seconds.
+
+    One that cannot be opened is tried again by the devices on it. Whether one is to be
+    left alone is asked in the very step in which it would be opened or closed.
+    """
+    level = logging.DEBUG if verb == "open" else logging.WARNING
+
     async def one(bus: Bus) -> None:
+        async def work() -> None:
+            if not unless(bus):
+                await getattr(bus, verb)()
+
         try:
             async with asyncio.timeout(within):
-                await outside((bus.name, f"{verb} the bus"), partial(work, bus))
+                await outside((bus.name, f"{verb} the bus"), work)
         except Exception as error:
             _log.log(level, "bus %s: %s: %s", bus.name, verb, describe(error))
 
     # Whatever factory of tasks the loop has.
-    loop = asyncio.get_running_loop()
-    tasks = (spawn(loop, one(bus), name="esair bus") for bus in buses)
+    loop, in_order = asyncio.get_running_loop(), sorted(buses, key=lambda b: b.name)
+    tasks = (spawn(loop, one(bus), name="esair bus") for bus in in_order)
     await asyncio.gather(*tasks, return_exceptions=True)
 
 
@@ -130,11 +117,9 @@ class ResourceDeployment:
         self.commands: CommandQueue = CommandQueue("resources", asleep=True)
         self.lives: dict[str, ResourceLife] = {}
         self._derived: dict[str, DerivedOpener] = {}
-        self._leaving: set[str] = set()
-        self.control: ControlPath = ControlPath(
-            *(registrations, policies, declared, modes.meet),
-            *(self.lives, self._leaving, sensors, actuators),
-        )
+        self.leaving: set[str] = set()
+        """What is being taken away: nobody gets a right to it."""
+        self.control: ControlPath = ControlPath(self, policies, declared, modes.meet)
         self.plan: Plan = Plan(
             policies=tuple(self.control.policies.values()),
             modes=modes,
@@ -176,7 +161,7 @@ class ResourceDeployment:
         return (
             life is not None
             and life.channel.state is ResourceState.READY
-            and name not in self._leaving
+            and name not in self.leaving
         )
 
     def dies(self, name: str) -> str:
@@ -311,7 +296,7 @@ class ResourceDeployment:
                 new = self.deploy(resource, channel)
             else:
                 self._forget(name, ResourceState.REMOVED)
-                self._leaving.discard(name)  # ports that fit live again with it
+                self.leaving.discard(name)  # ports that fit live again with it
                 new = self.deploy(resource)
             self.came(name, resource, "in its place")
             return new
@@ -324,12 +309,12 @@ class ResourceDeployment:
         self._departures[name] = asyncio.get_running_loop().create_future()
 
     def _has_departed(self, name: str) -> None:
-        self._leaving.discard(name)
+        self.leaving.discard(name)
         wake(self._departures.pop(name))
 
     def _fence(self, name: str) -> None:
         """From now on nobody has, or gets, a right to what goes."""
-        self._leaving.add(name)
+        self.leaving.add(name)
         for part in (name, name + APPLIED):
             for each in self.registrations.of_resource(part):
                 self.registrations.revoke(each, lambda: ResourceRemovedError(name))
@@ -351,7 +336,7 @@ class ResourceDeployment:
             return
         left = until - asyncio.get_running_loop().time()
         within = max(0.1, min(left, BUS_TIMEOUT))
-        await close_buses([bus], within=within, unless=is_used)
+        await on_buses([bus], "close", within=within, unless=is_used)
 
     async def _make_safe_to_leave(self, name: str, until: float) -> None:
         await self._make_safe(name, until)
@@ -359,7 +344,7 @@ class ResourceDeployment:
         if channel is not None and not channel.is_safe:
             _log.error("%s; it goes, and may move on", channel.told())
 
-    async def _make_safe(self, name: str, until: float = math.inf) -> None:
+    async def _make_safe(self, name: str, until: float) -> None:
         channel = self.actuators.channels.get(name)
         if channel is None:
             return
@@ -403,15 +388,11 @@ class ResourceDeployment:
 
     # What the robot does at its start and stop.
 
-    def wake(self) -> None:
-        """Let commands of the user wait from now on: the robot starts."""
-        self.commands.wake()
-
     async def start(self, resources: Sequence[Resource]) -> None:
         """Deploy the configuration list; returns when each device was tried once."""
         there = (each.bus for each in resources)
         self.buses = list(dict.fromkeys(bus for bus in there if bus is not None))
-        await open_buses(self.buses)
+        await on_buses(self.buses, "open")
         if any(is_placed(each) for each in resources):
             self._all_seats()
         if self._seats is not None:
@@ -492,7 +473,7 @@ class ResourceDeployment:
             ends = [self._undeploy(life, closed, until) for life in lives.values()]
             await side_by_side(ends)
         if self.buses:
-            await close_buses(self.buses)
+            await on_buses(self.buses, "close")
         if self._seats is not None:
             self._seats.close()
             self._seats = None
