@@ -8,8 +8,6 @@ import errno
 from collections.abc import Callable, Hashable
 from typing import Any, Final, Literal
 
-import attrs
-
 from esair.buses._bus import Bus, BusStats, Wire, listen
 from esair.buses._inbox import Inbox, within
 from esair.buses.can._frame import (
@@ -119,27 +117,25 @@ class Outbox:
         """Offer a frame until there is room; tells whether there was in time."""
         link = self.link
         assert link is not None
-        mine = _Waiting(key, replaces, urgency.get())
-        for older in self._line if replaces is not None else ():
+        mine, line = _Waiting(key, replaces, urgency.get()), self._line
+        for older in line if replaces is not None else ():
             if (older.key, older.replaces) == (key, replaces):
                 older.is_obsolete = True
                 wake(older.woken)
-        self._line.append(mine)
+        is_first = not line  # hot
+        line.append(mine)
         try:
-            if self._first() is mine and await link.send(frame, seconds):
+            if (is_first or self._first() is mine) and await link.send(frame, seconds):
                 return True
             return await self._again(link, frame, seconds, mine)
         finally:
-            self._line.remove(mine)
-            if self._line:
+            line.remove(mine)
+            if line:
                 wake(self._first().woken)
 
     def _first(self) -> _Waiting:
         """Return the most urgent one of those that are the first with their ids."""
-        line = self._line
-        if len(line) == 1:
-            return line[0]
-        firsts = {each.key: each for each in reversed(line)}
+        firsts = {each.key: each for each in reversed(self._line)}
         return min(reversed(firsts.values()), key=self._turns.rank)
 
     async def _again(
@@ -178,15 +174,16 @@ class Outbox:
         return False
 
 
-@attrs.define(eq=False)
 class _Waiting:
     """A frame on its way, until it is sent or a newer one makes it obsolete."""
 
-    key: int
-    replaces: Hashable | None
-    urgency: Urgency
-    is_obsolete: bool = False
+    is_obsolete = False
     woken: asyncio.Future[None] | None = None
+
+    def __init__(self, key: int, replaces: Hashable | None, urgent: Urgency) -> None:
+        self.key = key
+        self.replaces = replaces
+        self.urgency = urgent
 
 
 _DATA = FrameKind.DATA
