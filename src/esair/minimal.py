@@ -179,9 +179,11 @@ class Actuator(_Part):
     clamp: bool = False
     """Move a number to the nearest limit, instead of refusing it."""
 
-    def write(self, command: "Any") -> "Any":
-        """Send a command to the device; it is checked already."""
-        raise NotImplementedError
+    if _COMPUTER:
+
+        def write(self, command: "Any") -> "Any":
+            """Send a command to the device; it is checked already."""
+            raise NotImplementedError
 
 
 class Reaction(_Part):
@@ -599,8 +601,8 @@ class Loop:
         gap, odd = divmod(1000000, every)
         inputs, outputs = list(self.inputs.values()), list(self.outputs.values())
         dark: "Any" = []  # who is blind, or will be before the next step
-        try:
-            while True:
+        while True:
+            try:
                 now = self._ms
                 while now >> 28:  # a day is over
                     self.said = 0
@@ -689,9 +691,10 @@ class Loop:
                     self.late -= 1  # it was not left out
                 else:
                     self._ms = now + gap
-                yield
-        finally:  # by Ctrl-C, say: it cannot go on
-            self.close()
+            except BaseException:  # it cannot go on
+                self.close()
+                raise
+            yield
 
     def skip(self, steps: int) -> None:
         """Leave out steps that come too late."""
