@@ -6,6 +6,7 @@ Which kind of bus that is says the annotation ``bus:`` of a class, and the ruleb
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import Any, TypeVar
@@ -107,19 +108,20 @@ async def heard(
 
 
 def watching(
-    device: Resource, inbox: Inbox[Any], signs: AsyncIterator[Any]
+    device: Resource,
+    inbox: Inbox[T],
+    watch: Callable[[Inbox[T]], Coroutine[Any, Any, None]],
 ) -> asyncio.Task[None]:
-    """Return a task that reports a device as lost when its signs of life end in that."""
+    """Return a task that watches what comes, and reports what is wrong with a device."""
 
-    async def watch() -> None:
-        with inbox:
+    async def run() -> None:
+        with inbox, contextlib.suppress(StopAsyncIteration):
             try:
-                async for _ in signs:
-                    pass
-            except DeviceLostError as error:
+                await watch(inbox)
+            except OSError as error:
                 device.report_lost(error)
 
-    return spawn(asyncio.get_running_loop(), watch(), name=f"watch {device.name}")
+    return spawn(asyncio.get_running_loop(), run(), name=f"watch {device.name}")
 
 
 def loop_of(fake: object) -> asyncio.AbstractEventLoop:

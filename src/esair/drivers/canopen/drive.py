@@ -47,7 +47,7 @@ from canopen.profiles.p402 import State402
 from canopen.sdo.exceptions import SdoAbortedError
 
 from esair.buses import CanBus, Frame, Inbox
-from esair.drivers._on_bus import SharedTask, ended, heard, shared
+from esair.drivers._on_bus import SharedTask, ended, heard, shared, watching
 from esair.drivers.canopen import read_eds
 from esair.drivers.canopen._node import Emergency, NodeSettings, OnNode, sdo_frames
 from esair.exceptions import (
@@ -387,9 +387,7 @@ class DriveActuator(OnDrive):
         await super().open()
         self.state = await self._call(self._reset, self._remote)
         inbox = self.bus.frames(0x180 + self.node, limit=8)
-        self._watching = asyncio.get_running_loop().create_task(
-            self._watch(inbox), name=f"{self.name} state"
-        )
+        self._watching = watching(self, inbox, self._watch)
 
     async def close(self) -> None:
         """Leave the node."""
@@ -488,39 +486,28 @@ class DriveActuator(OnDrive):
     async def _watch(self, inbox: Inbox[Frame]) -> None:
         loop, missed = asyncio.get_running_loop(), 0
         half = None if self._silence is None else self._silence / 2
-        try:
-            while True:
-                try:
-                    frame = await inbox.take(timeout=half)
-                except TimeoutError:  # once it may be that this computer was held up
-                    missed += 1
-                    if missed == 2:
-                        text = f"it has told nothing for {self._silence:g} s"
-                        self.report_lost(DeviceLostError(self.name, text))
-                        return
-                    continue
-                missed = 0
-                if len(frame.data) < 2:
-                    continue
-                self._hear(int.from_bytes(frame.data[:2], "little"))
-                if self.state in {State.FAULT, State.FAULT_REACTION}:
-                    self.report_lost(self._fault())
-                    return
-                if self._is_stopping and loop.time() - self._stopped_at > STOPS_WITHIN:
-                    text = f"it is enabled {STOPS_WITHIN:g} s after it was told to stop"
-                    self.report_lost(DeviceFaultError(self.name, text))
-                    return
-                if self._is_on and self.state is not State.ENABLED:
-                    assert self.state is not None
-                    text = f"it is not enabled any more: it is {self.state.value}"
-                    self.report_lost(DeviceFaultError(self.name, text))
-                    return
-        except StopAsyncIteration:
-            pass  # its bus is closed
-        except OSError as error:
-            self.report_lost(error)
-        finally:
-            inbox.close()
+        while True:
+            try:
+                frame = await inbox.take(timeout=half)
+            except TimeoutError:  # once it may be that this computer was held up
+                missed += 1
+                if missed == 2:
+                    text = f"it has told nothing for {self._silence:g} s"
+                    raise DeviceLostError(self.name, text) from None
+                continue
+            missed = 0
+            if len(frame.data) < 2:
+                continue
+            self._hear(int.from_bytes(frame.data[:2], "little"))
+            if self.state in {State.FAULT, State.FAULT_REACTION}:
+                raise self._fault()
+            if self._is_stopping and loop.time() - self._stopped_at > STOPS_WITHIN:
+                text = f"it is enabled {STOPS_WITHIN:g} s after it was told to stop"
+                raise DeviceFaultError(self.name, text)
+            if self._is_on and self.state is not State.ENABLED:
+                assert self.state is not None
+                text = f"it is not enabled any more: it is {self.state.value}"
+                raise DeviceFaultError(self.name, text)
 
     def _fault(self) -> DeviceFaultError:
         why = self._emergency or "no emergency told why"

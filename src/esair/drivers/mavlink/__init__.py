@@ -409,7 +409,11 @@ class RcOverride(_OnVehicle, Actuator[dict[str, float]]):
         await self._first("HEARTBEAT")
         self._beats.begin(self, lambda: self._beats.run(self.bus, self._talk))
         inbox = self.bus.frames()
-        self._watching = watching(self, inbox, self._told("HEARTBEAT", inbox))
+        self._watching = watching(self, inbox, self._watch)
+
+    async def _watch(self, inbox: Inbox[bytes]) -> None:
+        async for _ in self._told("HEARTBEAT", inbox):
+            pass
 
     async def close(self) -> None:
         """Watch out no more."""

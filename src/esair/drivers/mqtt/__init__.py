@@ -302,15 +302,15 @@ class MqttActuator(_OnMqtt, Actuator[Any]):
             except BaseException:
                 inbox.close()
                 raise
-            self._watching = watching(self, inbox, self._signs(inbox))
+            self._watching = watching(self, inbox, self._watch)
         if self.safe is not HOLD:
             self._link = await self.bus.connect(
                 self.topic, self._encoded(self.safe), retain=self.retain
             )
 
-    async def _signs(self, inbox: Inbox[Message]) -> AsyncIterator[bool]:
+    async def _watch(self, inbox: Inbox[Message]) -> None:
         async for message in inbox:
-            yield self._is_status(message)
+            self._is_status(message)
 
     async def close(self) -> None:
         """End the connection: the last will is published."""

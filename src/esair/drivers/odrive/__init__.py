@@ -23,8 +23,8 @@ import attrs
 
 from esair.buses import CanBus, Inbox
 from esair.buses import Frame as CanFrame
-from esair.drivers._on_bus import ended
-from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError, EsairError
+from esair.drivers._on_bus import ended, watching
+from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.resources import (
     HOLD,
     Actuator,
@@ -473,13 +473,11 @@ class OdriveAxis(_OnAxis, Actuator[float]):
         except BaseException:
             inbox.close()
             raise
-        loop = asyncio.get_running_loop()
-        self._armed_at = loop.time() if was_armed else None
+        now = asyncio.get_running_loop().time()
+        self._armed_at = now if was_armed else None
         self._confirmed = was_armed
         self._idle_at = None
-        self._watching = loop.create_task(
-            self._watch(inbox), name=f"{self.name} heartbeat"
-        )
+        self._watching = watching(self, inbox, self._watch)
 
     async def is_set_up(self) -> bool:
         """Tell whether it has been heard all the time: it starts anew in silence."""
@@ -544,37 +542,29 @@ class OdriveAxis(_OnAxis, Actuator[float]):
 
     async def _watch(self, inbox: Inbox[CanFrame]) -> None:
         try:
-            while (problem := self._problem(await self._next(inbox))) is None:
-                pass
-        except (OSError, StopAsyncIteration) as error:
-            self.report_lost(error if isinstance(error, OSError) else None)
-        else:
-            self.report_lost(problem)
+            while True:
+                self._check_state(await self._next(inbox))
         finally:
             self._armed_at = None
-            inbox.close()
 
-    def _problem(self, heartbeat: Heartbeat) -> EsairError | None:
+    def _check_state(self, heartbeat: Heartbeat) -> None:
         if heartbeat.errors:
-            return DeviceFaultError(self.name, ", ".join(heartbeat.error_names))
+            raise DeviceFaultError(self.name, ", ".join(heartbeat.error_names))
         now = asyncio.get_running_loop().time()
         if self._armed_at is None:
             idle_for = 0.0 if self._idle_at is None else now - self._idle_at
             is_armed = heartbeat.state is AxisState.CLOSED_LOOP_CONTROL
             if is_armed and idle_for > ARM_TIMEOUT:
                 text = f"it is armed {ARM_TIMEOUT:g} s after it was told to be idle"
-                return DeviceFaultError(self.name, text)
-            return None
-        if heartbeat.state is AxisState.CLOSED_LOOP_CONTROL:
+                raise DeviceFaultError(self.name, text)
+        elif heartbeat.state is AxisState.CLOSED_LOOP_CONTROL:
             self._confirmed = True
-            return None
-        if self._confirmed:
-            return DeviceLostError(  # which is nothing wrong: it may have restarted
+        elif self._confirmed:
+            raise DeviceLostError(  # which is nothing wrong: it may have restarted
                 self.name, f"it has left closed loop control for {heartbeat.state.name}"
             )
-        if now - self._armed_at > ARM_TIMEOUT:
-            return DeviceFaultError(
+        elif now - self._armed_at > ARM_TIMEOUT:
+            raise DeviceFaultError(
                 self.name,
                 f"it was not armed in {ARM_TIMEOUT:g} s: it is {heartbeat.state.name}",
             )
-        return None

@@ -439,12 +439,9 @@ class IsoTp(SharedTask):
                     extended=frame.is_extended_id,
                 )
         while (message := self._layer.recv()) is not None:
-            self._offer(bytes(message))
-
-    def _offer(self, message: bytes) -> None:
-        now = self.exchanges.now
-        if now is not None and self.is_pending(message):
-            now.until = asyncio.get_running_loop().time() + self.patience
-            self.exchanges.limit_wait(now)
-        else:
-            self.exchanges.offer(message)
+            now = self.exchanges.now
+            if now is not None and self.is_pending(bytes(message)):
+                now.until = asyncio.get_running_loop().time() + self.patience
+                self.exchanges.limit_wait(now)
+            else:
+                self.exchanges.offer(bytes(message))
