@@ -22,10 +22,5 @@ __all__ = ["LIMIT", "Outlet", "SafeFrames", "Watchdog", "can_frame"]
 
 
 # Loaded by who needs it: it is a tenth of the time that `import esair` takes.
-__getattr__, _ = late(
-    __name__,
-    {
-        "_frames": "Outlet SafeFrames can_frame",
-        "_watchdog": "Watchdog",
-    },
-)
+_LATE = {"_frames": "Outlet SafeFrames can_frame", "_watchdog": "Watchdog"}
+__getattr__, _ = late(__name__, _LATE)

@@ -236,10 +236,6 @@ class Watchdog:
         self._asked[self._last] = asked
         return asked
 
-    def _send(self, told: dict[str, object]) -> None:
-        if self._process is not None:
-            self._process.send(told)
-
     def _hear(self, data: bytes) -> None:
         what, place, why = json.loads(data)
         if what == "hung up":
@@ -293,17 +289,14 @@ class Watchdog:
         """Whether the watchdog has stopped this process: nothing may move any more."""
         return bool(self._numbers[_LATCH])
 
-    def _is_of_a_fork(self) -> None:
-        """What a fork of the robot does is no sign of life, and moves nothing."""
-        self._numbers = memoryview(bytearray(_PAGE)).cast("Q")
-
 
 _in_this_process: weakref.WeakSet[Watchdog] = weakref.WeakSet()
 
 
 def _forked() -> None:
+    """See to it that what a fork does is no sign of life, and moves nothing."""
     for each in tuple(_in_this_process):
-        each._is_of_a_fork()  # noqa: SLF001 - the same module
+        each._numbers = memoryview(bytearray(_PAGE)).cast("Q")  # noqa: SLF001
 
 
 os.register_at_fork(after_in_child=_forked)
