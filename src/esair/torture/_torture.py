@@ -20,7 +20,7 @@ from pathlib import Path
 import attrs
 
 from esair.torture._judge import Violation
-from esair.torture._kinds import KINDS, Cast, Kind, cast_of
+from esair.torture._kinds import KINDS, Cast, cast_of
 from esair.torture._life import longest_tail
 from esair.torture._story import Step, Story, repr_of
 from esair.torture._target import Target
@@ -37,11 +37,6 @@ SIEGE = 6.0
 fault outlasts it."""
 
 FEWEST, MOST = 2, 6  # How many steps there are in a story that looks what comes after
-
-
-def calm(seed: int) -> Story:
-    """Tell of a robot that nothing is done to."""
-    return Story(seed, lasts=5.0)
 
 
 def sieges(cast: Cast, seed: int) -> Iterator[Story]:
@@ -105,23 +100,21 @@ def random_story(cast: Cast, seed: int) -> Story:
     for _ in range(dice.randint(fewest, most)):
         at += dice.choice((0.0, dice.expovariate(1 / gap), dice.expovariate(1 / gap)))
         (kind,) = dice.choices(kinds, weights)
-        steps.append(_step(kind, cast, at, dice))
+        steps.append(
+            Step(
+                round(at, 3),
+                kind.name,
+                dice.choice(cast[kind.on]),
+                lasts=dice.choice(kind.lasts),
+                how=dice.choice(kind.hows),
+                much=dice.choice(kind.much),
+            )
+        )
     lasts = round(at + dice.choice((0.0, 0.3, *(1.0,) * 8)), 3)
     how = dice.choice(("", "", "stop", "cancel", "error"))
     if how:
         steps.append(Step(lasts, "end", how=how))
     return Story(dice.randrange(1, 2**31), tuple(steps), lasts)
-
-
-def _step(kind: Kind, cast: Cast, at: float, dice: random.Random) -> Step:
-    return Step(
-        round(at, 3),
-        kind.name,
-        dice.choice(cast[kind.on]),
-        lasts=dice.choice(kind.lasts),
-        how=dice.choice(kind.hows),
-        much=dice.choice(kind.much),
-    )
 
 
 Shows = Callable[[Story], bool]
@@ -304,8 +297,7 @@ def torture(
 
 
 def _stories(target: Target, seed: int, checks: tuple[Check, ...]) -> Iterator[Story]:
-    first = calm(seed)
-    yield first
+    yield Story(seed, lasts=5.0)
     try:
         robot = target.make()
     except Exception:  # it cannot be made: that was the finding
