@@ -269,20 +269,14 @@ class Wire:
         at = 1
         while at < len(payload):
             name = self.sensors[payload[at]]
-            if payload[at + 1] == ord("x"):
-                found.append(self._reading(name, gone=True))
-                at += 2
+            gone = payload[at + 1] == ord("x")
+            value, at = (None, at + 2) if gone else unpacked(payload, at + 1)
+            if gone:
+                self._seen.pop(name, None)
             else:
-                value, at = unpacked(payload, at + 1)
-                found.append(self._reading(name, value))
+                self._seen[name] = None
+            found.append(Heard(name, tuples(value), gone))
         return found if at == len(payload) else []
-
-    def _reading(self, name: str, value: Any = None, *, gone: bool = False) -> Heard:
-        if gone:
-            self._seen.pop(name, None)
-        else:
-            self._seen[name] = None
-        return Heard(name, tuples(value), gone)
 
     def beat(self, armed: bool | None) -> list[bytes]:
         """Return the messages that answer the last beat of the board, to arm it or not."""
@@ -295,15 +289,11 @@ class Wire:
 
     def rates(self, asked: Mapping[str, float]) -> list[bytes]:
         """Return the messages that ask for sensors, each at a rate in Hz."""
-        wanted = b"".join(
-            struct.pack(
-                "<BH",
-                self.sensors.index(name),
-                min(65535, max(1, int(1000 / rate))),
-            )
-            for name, rate in asked.items()
-            if self.named and name in self.sensors
-        )
+        wanted = b""
+        for name, rate in asked.items():
+            if self.named and name in self.sensors:
+                interval = min(65535, max(1, int(1000 / rate)))
+                wanted += struct.pack("<BH", self.sensors.index(name), interval)
         size = _ROOM // 3 * 3
         return [
             signed(b"r" + wanted[at : at + size]) for at in range(0, len(wanted), size)
