@@ -70,9 +70,8 @@ AT_ONCE = 96
 DAY_MS = const(1 << 28)
 """What a loop and a beat count as days."""
 
-_MASK = const(
-    0xFFFFFFF
-)  # all times but those of this module go back by a day after a day
+# All times but those of this module go back by a day after a day.
+_MASK = const(0xFFFFFFF)
 _HALF = const(0x8000000)
 
 _WHOLE = const(0x2144DF1C)  # the checksum of a message and its checksum
@@ -247,14 +246,11 @@ class Link:
         self.sensors: list[Any] = [
             each for each in loop.inputs.values() if each is not self.host
         ]
-        self.every: list[int] = [0] * len(
-            self.sensors
-        )  # what the computer asks for, in ms
-        self.due: list[int] = [0] * len(self.sensors)
-        self.told: list[int] = [-1] * len(self.sensors)
-        self.ends: int = (
-            -1
-        )  # the first command that is no longer good then; -1: none is
+        count = len(self.sensors)
+        self.every: list[int] = [0] * count  # what the computer asks for, in ms
+        self.due: list[int] = [0] * count
+        self.told: list[int] = [-1] * count
+        self.ends: int = -1  # then the first command is no longer good; -1: none is
         self.beat: int = 0
         self.rest: int = 0  # until then there is nothing to tell
         self.beats: int = 9  # the tenth tells all
