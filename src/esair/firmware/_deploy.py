@@ -66,9 +66,8 @@ def deploy(
         ConfigError: There is no ``main.py`` in the folder, no board, another program
             has its port, or the board does not do what is asked, in its own words.
     """
-    source = (
-        folder / "compiled" if (folder / "compiled" / "main.py").is_file() else folder
-    )
+    source = folder / "compiled"
+    source = source if (source / "main.py").is_file() else folder
     if not (source / "main.py").is_file():
         raise ConfigError("esair min deploy", str(folder), "there is no main.py in it")
     files = {
@@ -111,21 +110,17 @@ def place_of(port: str) -> str:
         return port
     if port != "auto":
         if not Path(port).exists():
-            raise ConfigError(
-                "esair min", "port", f"there is no {port}: is the board plugged in?"
-            )
+            told = f"there is no {port}: is the board plugged in?"
+            raise ConfigError("esair min", "port", told)
         return port
     found = [each for each in devices() if each.address.startswith("usb:")]
     if len(found) == 1:
         return found[0].address
-    told = ", ".join(each.address for each in found)
-    raise ConfigError(
-        "esair min",
-        "port",
-        f"there are several: take one by --port: {told}"
-        if found
-        else "no board is plugged in at USB: else name its port by --port",
-    )
+    told = "no board is plugged in at USB: else name its port by --port"
+    if found:
+        told = ", ".join(each.address for each in found)
+        told = f"there are several: take one by --port: {told}"
+    raise ConfigError("esair min", "port", told)
 
 
 _LOOK: Final = f"""
@@ -192,11 +187,8 @@ def _put(prompt: Prompt, name: str, data: bytes) -> None:
         prompt.ask("_file.close()")
         if prompt.ask(f"_r = _sum({name!r})")[1:-1] == hashlib.sha256(data).hexdigest():
             return
-    raise ConfigError(
-        "esair min deploy",
-        name,
-        "what is on the board is not what was copied: is it full?",
-    )
+    told = "what is on the board is not what was copied: is it full?"
+    raise ConfigError("esair min deploy", name, told)
 
 
 def _switch(prompt: Prompt, slot: str) -> None:
@@ -228,12 +220,9 @@ def _restart(prompt: Prompt, lines: Lines, place: str, seconds: float) -> str:
                 prompt.enter(seconds)
                 _reset(prompt)
             lines.write(b"\r\nwho\r\n\x04")  # it said so before the port was back
-    tail = "\n".join(heard[-15:]) or "nothing"
-    raise ConfigError(
-        "esair min deploy",
-        place,
-        f"the board was not ready within {seconds:g} s; it said: {tail}",
-    )
+    told = "\n".join(heard[-15:]) or "nothing"
+    told = f"the board was not ready within {seconds:g} s; it said: {told}"
+    raise ConfigError("esair min deploy", place, told)
 
 
 def monitor(

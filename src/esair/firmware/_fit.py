@@ -55,17 +55,14 @@ class Part:
 def fitting_parts(path: Path, described: Description, misfit: Misfit) -> list[Part]:
     with path.open("rb") as file:
         tables = tomllib.load(file)
+    told = (
+        "MIN has no buses: write a plain Sensor or Actuator over machine, as those in "
+    )
     for name in described.buses:
-        misfit(
-            f"bus.{name}",
-            "MIN has no buses: write a plain Sensor or Actuator over machine, as those "
-            "in esair.boards",
-        )
+        misfit(f"bus.{name}", told + "esair.boards")
+    told = "MIN checks no rights: a reaction has the profile of its class"
     for name in described.policies:
-        misfit(
-            f"access.{name}",
-            "MIN checks no rights: a reaction has the profile of its class",
-        )
+        misfit(f"access.{name}", told)
     parts = []
     for name, resource in described.resources.items():
         kind = "sensor" if isinstance(resource, Sensor) else "actuator"

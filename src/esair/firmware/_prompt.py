@@ -121,11 +121,8 @@ class Prompt:
             for message in _STOP:
                 self._lines.write(message)
             self._hear(0.3, whole=True)
-        raise ConfigError(
-            "esair min deploy",
-            self._name,
-            "the board does not come to its prompt: is it a MicroPython?",
-        )
+        told = "the board does not come to its prompt: is it a MicroPython?"
+        raise ConfigError("esair min deploy", self._name, told)
 
     def _is_raw(self) -> bool:
         """Have the prompt for programs, and on it what obeys them."""
@@ -185,11 +182,10 @@ class Prompt:
                     return answer
                 if b"NameError" in self._heard:
                     break
-        raise ConfigError(
-            "esair min deploy",
-            self._name,
-            "the board does not answer any more: what ran before runs at its next start",
+        told = (
+            "the board does not answer any more: what ran before runs at its next start"
         )
+        raise ConfigError("esair min deploy", self._name, told)
 
     def _answer(self) -> str | None:
         for found in re.finditer(rb"<<((\d+) (.*?)) ([0-9a-f]{8})>>", self._heard):

@@ -90,10 +90,8 @@ def build(
     ):
         misfit("", f"arm={arm!r}: expected host, always, or pin: and a number")
     if watchdog is not None and not max(1 / steps, 0.015) <= watchdog <= 8:
-        misfit(
-            "",
-            f"a watchdog of {watchdog} s: an AVR takes from one step, 1/rate, to 8 s",
-        )
+        told = "an AVR takes from one step, 1/rate, to 8 s"
+        misfit("", f"a watchdog of {watchdog} s: {told}")
     if found:
         raise ExceptionGroup(f"{path} does not fit into ESAIR MIN", found)
     keys = {id(part.made): part.key for part in parts}
@@ -102,19 +100,14 @@ def build(
         where = f"{error.file}, line {error.line}: " if error.line else ""
         misfit(keys.get(id(part), ""), f"{where}{error.reason}")
 
-    of_kind = {
-        kind: [part.made for part in parts if part.kind == kind]
+    reactions, sensors, actuators = (
+        [part.made for part in parts if part.kind == kind]
         for kind in ("behavior", "sensor", "actuator")
-    }
+    )
     with searched_first(path.parent):
-        program = Wiring(
-            of_kind["behavior"],
-            of_kind["sensor"],
-            of_kind["actuator"],
-            steps,
-            arm == "always",
-            refuse,
-        ).program()
+        armed = arm == "always"
+        wiring = Wiring(reactions, sensors, actuators, steps, armed, refuse)
+        program = wiring.program()
     if found:
         raise ExceptionGroup(f"{path} cannot be translated to C", found)
     first = f"/* Made by `esair min build` from {path.name}: change that, and make it anew. */\n"
@@ -129,9 +122,8 @@ def build(
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_text(text, encoding="utf-8")
     except OSError as error:
-        raise ConfigError(
-            "esair min build", "out", f"{error.filename or folder}: {error.strerror}"
-        ) from error
+        told = f"{error.filename or folder}: {error.strerror}"
+        raise ConfigError("esair min build", "out", told) from error
     sizes = {name: len(text.encode()) for name, text in files.items()}
     return Translated(folder, sizes, steps, program.has_floats)
 
