@@ -28,7 +28,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Kind
-from esair.loop import Deadlines, clock_of
+from esair.loop import CallRefused, Deadlines, clock_of
 from esair.messages import ResourceState
 
 if TYPE_CHECKING:
@@ -184,6 +184,7 @@ class Operations:
                 method,
                 (),
                 max(0.001, this.until - device.time()),
+                partial(self._may_begin, this.registration),
             )
         except Exception as error:
             if begun:
@@ -210,6 +211,11 @@ class Operations:
             raise HaltedError(device.name, table.halt.reason)
         if device.state is not ResourceState.READY:
             raise device.absence()
+
+    def _may_begin(self, right: Registration) -> bool:
+        """Look once more, in a thread in whose line it has waited."""
+        table = self._device.registrations
+        return table.halt is None and table.live.get(right.number) is right
 
     def end(self, error: EsairError) -> None:
         """End what waits or runs, because it must not go on."""
@@ -271,6 +277,11 @@ class Operations:
 
     def _translated(self, this: Operating, error: BaseException) -> EsairError:
         """Make what its caller gets of what the driver has raised."""
+        if isinstance(error, CallRefused):  # it has not begun
+            try:
+                self.check(this.registration)
+            except EsairError as refused:
+                return refused
         translated = translate_call(self._device.name, this.name, this.limit, error)
         if isinstance(translated, DeviceLostError):
             self._device.robot.on_error(translated)
