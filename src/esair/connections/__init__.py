@@ -70,6 +70,7 @@ from esair.connections._values import (
     CommandCheck,
     ReadingCheck,
     changed,
+    kind_of,
     limits_by_field,
     part_of,
 )
@@ -117,6 +118,7 @@ __all__ = [
     "Terms",
     "changed",
     "is_loss",
+    "kind_of",
     "limits_by_field",
     "part_of",
     "run_ended",

@@ -240,7 +240,7 @@ class CommandCheck:
         self._stays = actuator.safe is HOLD
         self._limits = limits_by_field(actuator.limits)
         self._slew = limits_by_field(actuator.slew)
-        self._whole = {each for each in self._slew if _is_whole(actuator, each)}
+        self._whole = {each for each in self._slew if kind_of(actuator, each) is int}
         self._exact: dict[str, float] = {}
         """How far whole numbers are in truth that change by less than one at a time."""
         self._fields = _number_fields(actuator.safe)
@@ -410,25 +410,25 @@ class CommandCheck:
                 if self._own_check is not None:  # which knows more about it
                     continue
                 raise
-            if not self._clamp:
+            near = low if value < low else high
+            if type(value) is int:  # the nearest whole number that lies within
+                near = math.ceil(low) if value < low else math.floor(high)
+            if not (self._clamp and low <= near <= high):
                 raise self._bad(field, f"expected {low:g} to {high:g}, not {value:g}")
-            changes[field] = min(
-                high, max(low, value)
-            )  # value is finite: checked before
+            changes[field] = near
         return changed(command, changes)
 
 
-def _is_whole(actuator: Actuator[Any], field: str) -> bool:
-    """Tell whether a command, or a field of it, is a whole number."""
+def kind_of(actuator: Actuator[Any], field: str) -> Any:
+    """Return the type of a command, or of a field of it; `typing.Any` if it is unknown."""
     kind, safe = actuator.value_type, actuator.safe
     if field:
         cls = type(safe) if safe is not HOLD else checked_class(kind)
         kind = hints_of(cls).get(field, Any) if cls is not None else Any
-    if kind is not Any:
-        return kind is int
-    with contextlib.suppress(AttributeError, LookupError):
-        return type(part_of(safe, field)) is int
-    return False
+    if kind is Any:
+        with contextlib.suppress(AttributeError, LookupError):
+            return type(part_of(safe, field))
+    return kind
 
 
 def _is_frozen(wanted: Any) -> bool:

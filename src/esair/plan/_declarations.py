@@ -7,6 +7,7 @@ constructed with; never of a copy: what a component that runs knows of its robot
 
 from __future__ import annotations
 
+import enum
 import inspect
 import sys
 import types
@@ -30,7 +31,13 @@ from esair.actions import (
     is_request,
 )
 from esair.codec import CodecError, Kinds, declared, encode, inner_of
-from esair.connections import CommandCheck, ReadingCheck, limits_by_field, part_of
+from esair.connections import (
+    CommandCheck,
+    ReadingCheck,
+    kind_of,
+    limits_by_field,
+    part_of,
+)
 from esair.exceptions import BadValueError, ConfigError
 from esair.flaws import fields_of
 from esair.messages import Reading, Restart, Stamped, placement_of
@@ -426,6 +433,10 @@ def _in_slew(actuator: Actuator[Any]) -> Iterator[tuple[str, str]]:
     for field, slew in limits_by_field(actuator.slew).items():
         if not is_positive(slew):
             told = f"expected a change per second > 0, not {slew!r:.80}"
+            yield f"slew.{field}".rstrip("."), told
+        kind = kind_of(actuator, field)
+        if isinstance(kind, type) and issubclass(kind, enum.Enum):
+            told = f"{kind.__name__} has no steps between its members: leave it out"
             yield f"slew.{field}".rstrip("."), told
 
 
