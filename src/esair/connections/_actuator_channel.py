@@ -332,7 +332,7 @@ class ActuatorChannel(Device):
         else:
             command = ready
         wire = self.wire
-        # Late: between this look and the driver only guards take time.
+        # Late: between this look and the driver only guards take time, and then once more.
         if expires is not None and (late := self._lateness(expires)) > 0.0:
             return self._expired(registration, late)
         if wire.lane is not None or self.safe.state is not None:
@@ -354,6 +354,8 @@ class ActuatorChannel(Device):
             # The code of a check, or a guard, takes its time, and may have halted.
             if numbers != self.gate.numbers or not registration.usable:
                 return self._fenced(registration, numbers[0])
+            if expires is not None and (late := self._lateness(expires)) > 0.0:
+                return self._expired(registration, late)
         if not self._dead_man.armed:
             self._dead_man.arm()
         guard: Guard | None = None
@@ -469,7 +471,11 @@ class ActuatorChannel(Device):
         elif isinstance(end.error, CallRefused):
             right = call.owner
             # It was told as sent; who waits for it takes that back, or has gone.
-            if call.cancelled and isinstance(right, Registration):
+            if not isinstance(right, Registration):  # less of what stands, by a guard
+                told = "it was made safe before the turn of this command came"
+                now = self.time()
+                self._refuse(None, Refused("", 0, told, now, now))
+            elif call.cancelled:
                 self._refuse(right, self._overtaken(right))
         elif call.cancelled:
             wire.unknown()
@@ -553,12 +559,11 @@ class ActuatorChannel(Device):
                 command = self.wire.copied(command)
         self._journal.publish(COMMAND, self.name, registration.behavior, command)
 
-    def _refuse(self, registration: Registration, refused: Refused) -> Refused:
+    def _refuse(self, right: Registration | None, refused: Refused) -> Refused:
         self.refusals += 1
         if self._journal.heard.refused:
-            self._journal.publish(
-                Kind.REFUSED, self.name, registration.behavior, refused
-            )
+            behavior = "" if right is None else right.behavior
+            self._journal.publish(Kind.REFUSED, self.name, behavior, refused)
         return refused
 
     # Writes that wait until the device is free.
