@@ -134,6 +134,7 @@ class Keeping:
         if self.recording is None:
             return
         plan, journal = robot.plan, robot.journal
+        parts = [*plan.resources, *plan.behaviors]
         file, simulated = robot.source or (None, False)
         raw = b"" if file is None else file.read_bytes()
         text = public_text(raw.decode("utf-8", "replace"), plan.resources)
@@ -145,15 +146,12 @@ class Keeping:
                 self.recording,
                 journal,
                 name=plan.name,
-                facts=facts_about(
-                    plan.name, [*plan.resources, *plan.behaviors], text, str(robot.seed)
-                ),
+                facts=facts_about(plan.name, parts, text, str(robot.seed)),
                 components=lambda: components_of(robot),
                 waits=turn_of(loop).virtual,
             )
             about = self._replay(loop, file, simulated=simulated)
-            there = [*plan.resources, *plan.behaviors]
-            placed = json.dumps([each.name for each in there if is_placed(each)])
+            placed = json.dumps([each.name for each in parts if is_placed(each)])
             recorder.note("replay", {**about, "sha256": digest, "placed": placed})
             journal.count("recording", lambda: [("recording", recorder.counts())])
             if turn_of(loop).repeats:
@@ -170,8 +168,6 @@ class Keeping:
         self, loop: asyncio.AbstractEventLoop, file: Path | None, *, simulated: bool
     ) -> dict[str, str]:
         """Return what a replay has to know of the run."""
-        import json  # it takes long to load: only what records needs it
-
         turn = turn_of(loop)
         why = ""
         if turn.virtual and self.script is None:

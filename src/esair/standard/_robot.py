@@ -141,11 +141,11 @@ class LoopCare:
         self._undo.callback(scheduler.every(GLANCE, self._service.beat).stop)
         real_time.lead()
 
-    def refuse_elsewhere(self, title: str, verb: str) -> None:
+    def refuse_elsewhere(self, verb: str) -> None:
         """Refuse what is asked in another event loop while the robot has its own."""
         if self._loop not in {None, asyncio.get_running_loop()}:
             told = "it runs in another event loop: what is for threads is halt"
-            raise ConfigError(title, verb, told)
+            raise ConfigError(self._title, verb, told)
 
     @property
     def is_for_all(self) -> bool:
@@ -292,7 +292,7 @@ class Stopping:
         self._hurry = hurry
         self.reason = ""  # why it stops; the first one counts
         self.signal: int | None = None
-        self.watch = SignalWatch(self._signalled, hurry, is_safe)
+        self.watch = SignalWatch(lambda n: self._signals.tell(n), hurry, is_safe)
         self.interrupts = False
         """Whether SIGINT interrupts code that holds the loop."""
         self.host: asyncio.Task[Any]
@@ -313,9 +313,6 @@ class Stopping:
         if not repeats(loop) and not self.watch.start(interrupts=self.interrupts):
             told = "it was not entered in the main thread, nor is another robot there"
             _log.warning("robot %s: no signal stops it: %s", self._name, told)
-
-    def _signalled(self, number: int) -> None:
-        self._signals.tell(number)
 
     def _end_by_signal(self, number: int) -> None:
         self.signal = number
@@ -674,7 +671,7 @@ class Robot:
         Returns:
             What each actuator was told last, and whether it answered.
         """
-        self._care.refuse_elsewhere(self._title, "stop")
+        self._care.refuse_elsewhere("stop")
         stopping = self._stopping
         stopping.because(reason)
         if not self._entered:

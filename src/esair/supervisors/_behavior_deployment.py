@@ -40,7 +40,7 @@ from esair.loop import (
     spawn,
     wake,
 )
-from esair.messages import Access, BehaviorsPolicy, BehaviorState, BehaviorStatus, Modes
+from esair.messages import Access, BehaviorsPolicy, BehaviorState, Modes
 from esair.plan import Finding, refuse
 from esair.supervisors._command_queue import CommandQueue
 from esair.supervisors._life import end, living, side_by_side
@@ -368,9 +368,6 @@ class BehaviorDeployment:
         return member
 
     # What its members ask (`Crew`).
-
-    def query(self, name: str) -> BehaviorStatus:
-        return self.member(name).status()
 
     async def managed_by(self, name: str, verb: str, *args: Any) -> Any:
         """Do what a behavior has asked for, if a policy gives it the right."""

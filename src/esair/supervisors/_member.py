@@ -120,7 +120,7 @@ class Member:
     # What the behavior asks (`Host`).
 
     def query(self, name: str) -> BehaviorStatus:
-        return self.crew.query(name)
+        return self.crew.member(name).status()
 
     async def manage(self, verb: str, *args: Any) -> Any:
         """Add, remove, replace or restart a behavior, if a policy allows it."""
