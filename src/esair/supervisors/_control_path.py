@@ -59,7 +59,6 @@ class ControlPath:
         resources: ResourceDeployment,
         policies: Iterable[Policy],
         declared: Declared,
-        meet: Callable[[str, str], bool],
     ) -> None:
         self._resources = resources
         self.registrations: Registrations = resources.registrations
@@ -68,7 +67,6 @@ class ControlPath:
             each.resource: each for each in policies if isinstance(each, Policy)
         }
         self._declared = declared
-        self._meet = meet  # whether two run in the same mode
         self.turned_away: int = 0  # how many operations there was no room for
         self.closed = False  # the robot stops: nobody gets a right any more
 
@@ -111,8 +109,9 @@ class ControlPath:
         if refusal := denial(policy, behavior, access, priority):
             raise refusal[1]
         if policy.exclusive and Access.WRITE in access:
+            meet = self._resources.plan.modes.meet
             for other in self.writers_of(resource):
-                if other not in {behavior, instead_of} and self._meet(behavior, other):
+                if other not in {behavior, instead_of} and meet(behavior, other):
                     raise not_alone(policy, behavior, other)
 
     def writers_of(self, resource: str) -> list[str]:
@@ -187,7 +186,12 @@ class ControlPath:
             raise BusyError(resource.name, "number of operations", WAITING_LIMIT)
         life.operations += 1
         try:
-            await self._turn_of(life, name, until, limit)
+            try:
+                async with asyncio.timeout_at(until):
+                    await life.configuring.acquire()
+            except TimeoutError as error:
+                what = f"operate {name}, which waited for its turn,"
+                raise DriverStuckError(life.name, what, limit) from error
             free = life.configuring.release
             if life.is_over:
                 free()
@@ -197,16 +201,6 @@ class ControlPath:
             return await run(registration, name, checked, until, limit, free)
         finally:
             life.operations -= 1
-
-    async def _turn_of(
-        self, life: ResourceLife, name: str, until: float, limit: float
-    ) -> None:
-        try:
-            async with asyncio.timeout_at(until):
-                await life.configuring.acquire()
-        except TimeoutError as error:
-            what = f"operate {name}, which waited for its turn,"
-            raise DriverStuckError(life.name, what, limit) from error
 
     def _configurable(self, registration: Registration) -> ResourceLife:
         if (

@@ -119,7 +119,7 @@ class ResourceDeployment:
         self._derived: dict[str, DerivedOpener] = {}
         self.leaving: set[str] = set()
         """What is being taken away: nobody gets a right to it."""
-        self.control: ControlPath = ControlPath(self, policies, declared, modes.meet)
+        self.control: ControlPath = ControlPath(self, policies, declared)
         self.plan: Plan = Plan(
             policies=tuple(self.control.policies.values()),
             modes=modes,

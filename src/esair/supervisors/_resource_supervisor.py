@@ -42,7 +42,6 @@ class ResourceSupervisor(abc.Supervisor):
         self._command = command
         self._control = deployment.control
         self._commands = deployment.commands
-        self._journal = deployment.journal
 
     # What everybody may ask.
 

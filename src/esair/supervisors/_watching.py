@@ -192,11 +192,9 @@ class Keeper:
             return
         self._resources.armory = self._armory
         self._deaths_told = News(loop, ("watchdog", "death"), self._died)
-        self._job = Scheduler.of(loop).every(self._limit / BEATS, self._beat)
+        period = self._limit / BEATS
+        self._job = Scheduler.of(loop).every(period, lambda _: self.watchdog.beat())
         await self._try_to_start()
-
-    def _beat(self, _now: float) -> None:
-        self.watchdog.beat()
 
     async def _try_to_start(self) -> None:
         try:
