@@ -260,14 +260,13 @@ _WHERE = " at bus "
 
 def devices(root: Path = ROOT) -> list[Device]:
     """Return the I²C buses that are there, by their numbers."""
-    places = [
-        place
-        for place in finding.entries(root / "sys/class/i2c-dev")
-        if place.name.removeprefix("i2c-").isdecimal()
-        and (root / "dev" / place.name).exists()
+    directory = root / "sys/class/i2c-dev"
+    names = adapters(directory)
+    return [
+        _bus(directory / f"i2c-{number}", root, names)
+        for number in names
+        if (root / f"dev/i2c-{number}").exists()
     ]
-    names = {place.name: finding.read(place / "name") for place in places}
-    return [_bus(place, root, names) for place in places]
 
 
 def toml(device: Device, name: str) -> list[str]:
@@ -280,10 +279,10 @@ def toml(device: Device, name: str) -> list[str]:
     ]
 
 
-def _bus(place: Path, root: Path, names: dict[str, str]) -> Device:
-    name = names[place.name]
-    usb = finding.usb_device(place / "device", root)
+def _bus(place: Path, root: Path, names: dict[int, str]) -> Device:
     address = place.name.removeprefix("i2c-")
+    name = names[int(address)]
+    usb = finding.usb_device(place / "device", root)
     if usb is not None:  # its number is whatever was free
         lasting = name.partition(_WHERE)[0]
         if lasting and sum(each.startswith(lasting) for each in names.values()) == 1:
