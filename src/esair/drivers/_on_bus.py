@@ -54,7 +54,7 @@ class SharedTask:
 
 async def ended(task: asyncio.Task[Any] | None) -> None:
     """End a task that a device has while it is open, if it has one."""
-    if task is not None:
+    if task is not None and not task.done():
         task.cancel()
         await asyncio.wait({task})
 

@@ -391,8 +391,7 @@ class DriveActuator(OnDrive):
 
     async def close(self) -> None:
         """Leave the node."""
-        task, self._watching = self._watching, None
-        await ended(task)
+        await ended(self._watching)
         await super().close()
         self.state = None
 

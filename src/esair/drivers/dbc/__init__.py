@@ -41,7 +41,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import sys
-from collections.abc import AsyncIterator, Mapping, Set
+from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Final, Literal, Unpack
 
@@ -544,21 +544,13 @@ class DbcActuator(Actuator[Any]):
             self._narrowed(limits)
         )
         self._within = {} if self.limits is None else self._by_name(self.limits)
-        self._limited_only: Set[str] = frozenset()
-        """The signals of commands, if numbers within limits are all that they have."""
-        if (
-            signal is None
-            and not codec.message.is_multiplexed()
-            and self._free <= self._within.keys()
-        ):
-            self._limited_only = self._free
-        alone = None if signal is None else codec.signals[signal]
-        self._is_plain = (
-            alone is not None
-            and self.value_type is float
-            and self.limits is not None
-            and not (alone.choices or alone.is_multiplexer)
-        )
+        plain = not codec.message.is_multiplexed()
+        if signal is not None:
+            alone = codec.signals[signal]
+            special = alone.choices or alone.is_multiplexer
+            plain = self.value_type is float and not special
+        self._is_plain = plain and self._free <= self._within.keys()
+        """Whether numbers within limits are all that commands have."""
         self._check_safe()
         if slew is not None:
             self.slew: float | Mapping[str, float] = slew
@@ -583,13 +575,14 @@ class DbcActuator(Actuator[Any]):
             BadValueError: A signal is missing, unknown, no choice, or outside of what
                 the file allows.
         """
-        if self._limited_only:
-            if command.keys() == self._limited_only and all(
-                type(value) in {int, float} for value in command.values()
-            ):
-                return  # as most commands: numbers, each within the limits of the file
-        elif self._is_plain:
-            return  # one number, within the limits of the file
+        if self._is_plain and (
+            self.signal is not None
+            or (
+                command.keys() == self._free
+                and all(type(value) in {int, float} for value in command.values())
+            )
+        ):
+            return  # as most commands: numbers, each within the limits of the file
         # The file may forbid it by other means: a choice out of range, say.
         self._encoded(self._checked_signals(self._by_name(command)))
 
@@ -632,8 +625,7 @@ class DbcActuator(Actuator[Any]):
         """Repeat no more, and let the address go."""
         if self._claim is not None:
             await self._claim.leave(self.report_lost)
-        task, self._repeating = self._repeating, None
-        await ended(task)
+        await ended(self._repeating)
 
     async def write(self, command: Any) -> None:
         """Send a command."""

@@ -417,8 +417,7 @@ class RcOverride(_OnVehicle, Actuator[dict[str, float]]):
 
     async def close(self) -> None:
         """Watch out no more."""
-        watch, self._watching = self._watching, None
-        await ended(watch)
+        await ended(self._watching)
         await self._beats.leave(self)
 
     async def write(self, command: dict[str, float]) -> None:

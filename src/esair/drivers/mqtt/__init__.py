@@ -314,8 +314,7 @@ class MqttActuator(_OnMqtt, Actuator[Any]):
 
     async def close(self) -> None:
         """End the connection: the last will is published."""
-        watching, self._watching = self._watching, None
-        await ended(watching)
+        await ended(self._watching)
         link, self._link = self._link, None
         await self.bus.disconnect(link)
 

@@ -485,8 +485,7 @@ class OdriveAxis(_OnAxis, Actuator[float]):
 
     async def close(self) -> None:
         """Watch it no more."""
-        task, self._watching = self._watching, None
-        await ended(task)
+        await ended(self._watching)
 
     async def write(self, command: float) -> None:
         """Tell the axis its input, and arm it if that is no safe command."""
