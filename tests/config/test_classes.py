@@ -1,9 +1,13 @@
 """Names of classes: ``module:Class``, or what an installed package offers."""
 
+from typing import Any
+
 import pytest
 
 import esair
 from esair import config
+from esair.buses import SerialBus
+from esair.drivers.line import LineActuator
 
 
 @pytest.fixture
@@ -181,3 +185,31 @@ def test_a_module_without_the_one_class_is_told(parts, kind, name, told) -> None
 
     error = parts.mistakes()[f"{kind}.x.driver"]
     assert told.format(m=parts.module) in error
+
+
+class Quiet(LineActuator):
+    """A shipped driver of which the class says what is safe, and how far it goes."""
+
+    def __init__(self, *, name: str, bus: SerialBus, **settings: Any) -> None:
+        super().__init__(name=name, bus=bus, safe=0.0, ack=True, **settings)
+
+
+QUIET = (
+    '[bus.w]\ntype = "serial"\nport = "loop://"\n'
+    '[actuator.q]\ndriver = "tests.config.test_classes:Quiet"\nbus = "w"\n'
+)
+
+
+def test_what_a_class_says_itself_need_not_be_said(project) -> None:
+    """Neither a keyword that must be there, nor what is true of any actuator."""
+    described = config.load(project.write(QUIET + "command_timeout = 0.3\n"))
+
+    quiet: Any = described.resources["q"]
+    assert (quiet.safe, quiet.ack, quiet.command_timeout) == (0.0, True, 0.3)
+
+
+def test_what_a_class_says_itself_is_no_key(project) -> None:
+    """Python would have it twice."""
+    project.write(QUIET + "ack = false\n")
+
+    assert "there is no such key" in project.mistakes()["actuator.q.ack"]

@@ -7,9 +7,12 @@ that its class declares, or a public attribute of its class that holds plain dat
 
 from __future__ import annotations
 
+import ast
 import enum
+import functools
 import inspect
 import sys
+import textwrap
 import typing
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -128,6 +131,7 @@ class Keywords:
 def keywords_of(cls: type) -> Keywords:
     """Return what the constructor of a class takes."""
     found: dict[str, Field] = {}
+    given: set[str] = set()
     for holder in cls.__mro__:
         constructor = vars(holder).get("__init__")
         if holder is object or not inspect.isfunction(constructor):
@@ -141,7 +145,9 @@ def keywords_of(cls: type) -> Keywords:
             }:
                 kind = hints.get(parameter.name, _kind_of(parameter.default))
                 required = parameter.default is parameter.empty
-                found.setdefault(parameter.name, Field(kind, required))
+                if parameter.name not in given:
+                    found.setdefault(parameter.name, Field(kind, required))
+        given |= _given_by(constructor)
         if holder is Resource:
             return Keywords(found, takes_settings=True)
         rest = [each.name for each in parameters if each.kind is each.VAR_KEYWORD]
@@ -150,6 +156,21 @@ def keywords_of(cls: type) -> Keywords:
         if not rest:
             break
     return Keywords(found)
+
+
+@functools.lru_cache(maxsize=256)
+def _given_by(constructor: Any) -> frozenset[str]:
+    """Return the keywords that a constructor gives to the next one by itself."""
+    try:
+        source = ast.parse(textwrap.dedent(inspect.getsource(constructor)))
+    except (OSError, SyntaxError):  # there is none: it was made by attrs, say
+        return frozenset()
+    return frozenset(
+        str(keyword.arg)
+        for node in ast.walk(source)
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "super().__init__"
+        for keyword in node.keywords
+    )
 
 
 def _attributes_of(cls: type) -> dict[str, Any]:
