@@ -15,7 +15,7 @@ import attrs
 
 from esair.actions import Reaction
 from esair.loop import portal
-from esair.resources import HOLD, Actuator, Resource, Sensor
+from esair.resources import HOLD, Resource, Sensor
 from esair.testing import VirtualLoop
 from esair.torture._values import (
     CannotMakeError,
@@ -30,8 +30,17 @@ if TYPE_CHECKING:
     from esair.torture._judge import Judge
     from esair.torture._story import Step
 
-CALLS = ("open", "close", "identify", "apply", "is_set_up", "read", "write")
-"""The methods of a driver that esair calls, beside ``stream`` and operations."""
+CALLS = {
+    "open": "",
+    "close": "",
+    "identify": "identifies",
+    "apply": "",
+    "is_set_up": "can_tell_set_up",
+    "read": "can_be_asked",
+    "write": "command_timeout",
+}
+"""The methods of a driver that esair calls, beside ``stream`` and operations, each if the
+driver has this."""
 
 MOODS = (0.0, 0.1, 1.0, 1.0, 2.0)
 """How late the calls of a late device are, times what was said: not equally."""
@@ -114,13 +123,6 @@ class Gate:
         self._good: Any = None
         self._install(alone)
 
-    @property
-    def safe(self) -> Any:
-        return getattr(self.resource, "safe", None)
-
-    def is_safe(self, command: Any) -> bool:
-        return command is HOLD or same(command, self.safe)
-
     # In front of the driver.
 
     def _install(self, alone: bool) -> None:
@@ -135,8 +137,8 @@ class Gate:
                 self.speechless = str(error)
         if stand_in is not None and resource.bus is not None:
             vars(resource.bus).update(open=stand_in.open, close=stand_in.close)
-        for name in CALLS:
-            if _has(resource, name):
+        for name, asked in CALLS.items():
+            if not asked or getattr(resource, asked, False):
                 inner = getattr(resource, name)
                 if stand_in is not None:
                     inner = getattr(stand_in, name)
@@ -217,7 +219,8 @@ class Gate:
         self.was_here = True
         if name != "write":
             return None
-        told = Told(args[0], self.is_safe(args[0]), self._loop.time())
+        safe = args[0] is HOLD or same(args[0], getattr(self.resource, "safe", None))
+        told = Told(args[0], safe, self._loop.time())
         self.told.append(told)
         self._judge.begins(self, told)
         return told
@@ -331,19 +334,6 @@ class _StandIn:
     def value(self) -> Any:
         resource: Any = self._gate.resource
         return make(resource.value_type, self._dice, resource.limits)
-
-
-def _has(resource: Resource, name: str) -> bool:
-    """Tell whether esair calls a method of this driver at all."""
-    if name == "read":
-        return isinstance(resource, Sensor) and resource.can_be_asked
-    if name == "write":
-        return isinstance(resource, Actuator)
-    if name == "identify":
-        return resource.identifies
-    if name == "is_set_up":
-        return resource.can_tell_set_up
-    return True
 
 
 class Lever:

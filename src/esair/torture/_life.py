@@ -160,7 +160,7 @@ def judge_life(world: World) -> None:
         or robot.behaviors.phase is SupervisorPhase.STOPPED
     ):
         return
-    idle = {name for name, each in _declared(robot) if _is_idle(each)}
+    idle = {n for n, e in _declared(robot) if e.within is None and not e.partners}
     names = set(robot.behaviors.names())
     idle |= {name for name in names if _state(robot, name) is BehaviorState.RESTING}
     gone = {each.name for each in robot.plan.behaviors} - names
@@ -245,10 +245,6 @@ def _ended(world: World, name: str, habits: Habits) -> str:
 
 def _state(robot: esair.Robot, name: str) -> BehaviorState:
     return robot.behaviors.query(name).state
-
-
-def _is_idle(works: Works) -> bool:
-    return works.within is None and not works.partners
 
 
 def _declared(robot: esair.Robot) -> Iterator[tuple[str, Works]]:
