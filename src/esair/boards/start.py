@@ -99,14 +99,10 @@ class Start:
             self.pin = Pin(arm, Pin.IN, Pin.PULL_UP)
 
     def _tell(self) -> None:
-        self.loop.say("esair: ready, %s, %s" % (self.cause, self._waits()))
-
-    def _waits(self) -> str:
-        if self.arm == "always":
-            return "armed"
+        how = "armed" if self.armed else "not armed: it waits for the host"
         if self.pin is not None:
-            return "armed by pin %s" % self.arm
-        return "armed" if self.armed else "not armed: it waits for the host"
+            how = "armed by pin %s" % self.arm
+        self.loop.say("esair: ready, %s, %s" % (self.cause, how))
 
     def __call__(self) -> None:
         """Do what is due after a step; none of it waits."""
