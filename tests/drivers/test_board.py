@@ -14,7 +14,7 @@ import esair
 from esair.boards.link import VERSION
 from esair.buses.serial import FakeSerial
 from esair.drivers.board import BoardActuator, BoardSensor
-from esair.drivers.board.wire import signed, unstuffed
+from esair.drivers.board.wire import Wire, signed, unstuffed
 from esair.messages import ResourceState
 
 pytestmark = pytest.mark.promise("MIN-4")
@@ -102,3 +102,28 @@ async def test_what_the_board_has_not_is_told_for_a_sensor_as_for_an_actuator(
             error = str(robot.resources.query(name).error)
             assert f"the board has no {kind} of this name: build and deploy" in error
         assert robot.resources.query("light").state is ResourceState.READY
+
+
+@pytest.mark.promise("SEC-2")
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"n" + struct.pack("<II", 0, 0) + b"light;wheels",
+        b"B\0[1e999]",
+        b"B\0" + b"[" * 1018,
+        b"B\0[]",
+        b"s\0j\x01",
+    ],
+    ids=["no rate", "infinite version", "deep", "empty", "cut"],
+)
+def test_what_no_board_can_mean_is_no_message(payload: bytes) -> None:
+    """Its checksum is right, and it says nothing; the line goes on."""
+    board = Wire()
+    whole = struct.pack("<BBBBHIIIIHH", ord("b"), VERSION, *[0] * 9)
+    names = b"n" + struct.pack("<II", 50_000, 0) + b"light;wheels"
+    assert board.said(whole)
+    assert board.said(names) == []
+
+    assert board.said(payload) == []
+    assert board.named
+    assert board.period == 0.02

@@ -196,8 +196,8 @@ class Wire:
         """Return what a message says, whose checksum is right and gone."""
         try:
             return self._said(payload)
-        except (ValueError, TypeError, LookupError, struct.error):
-            return []  # it is of another version, or none of ours
+        except Exception:  # it is of another version, or none of ours
+            return []
 
     def _said(self, payload: bytes) -> list[Beat | Heard | Answer]:
         kind = payload[:1]
