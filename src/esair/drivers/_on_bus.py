@@ -73,11 +73,11 @@ def check_bus(device: Resource, kind: type[Bus], *framings: type[Framing]) -> No
     )
 
 
-async def heard(
+def heard(
     device: Resource,
     inbox: Inbox[T],
     silent_after: float | None,
-    made: Callable[[T], Any] = lambda item: item,
+    made: Callable[[T], Any] | None = None,
     what: str = "nothing came",
 ) -> AsyncIterator[Any]:
     """Yield what is made of what comes; who is silent for so long is a `DeviceLostError`.
@@ -86,9 +86,21 @@ async def heard(
         device: Who says it, for the error.
         inbox: Where it comes.
         silent_after: After how many seconds without anything; never if None.
-        made: What is made of it; None is left out, and no sign of life.
+        made: What is made of it; None is left out, and no sign of life. Itself if None.
         what: What has not come, in words.
     """
+    if silent_after is None and made is None:
+        return inbox  # hot
+    return _heard(device, inbox, silent_after, made or (lambda item: item), what)
+
+
+async def _heard(
+    device: Resource,
+    inbox: Inbox[T],
+    silent_after: float | None,
+    made: Callable[[T], Any],
+    what: str,
+) -> AsyncIterator[Any]:
     loop = asyncio.get_running_loop()
     seconds = math.inf if silent_after is None else silent_after
     due = loop.time() + seconds
