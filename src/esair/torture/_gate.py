@@ -425,22 +425,18 @@ class Lever:
             def obeying(*args: Any, **options: Any) -> Any:
                 try:
                     return call(*args, **options)
-                finally:
-                    self._obey()
+                finally:  # hang, then crash, if it was told to
+                    hangs = self.hangs - self._loop.time()
+                    if hangs > 0.0:
+                        self._loop.wait_in_thread(hangs)
+                    error, self._error = self._error, None
+                    if error is not None:
+                        raise injected(error)
 
             mine.call = obeying
             run()
 
         return running
-
-    def _obey(self) -> None:
-        """Hang, then crash, if it was told to; in the thread."""
-        hangs = self.hangs - self._loop.time()
-        if hangs > 0.0:
-            self._loop.wait_in_thread(hangs)
-        error, self._error = self._error, None
-        if error is not None:
-            raise injected(error)
 
     @types.coroutine
     def _driven(self, run: Coroutine[Any, Any, None]) -> Generator[Any, Any, None]:

@@ -230,13 +230,12 @@ def flood(world: World, step: Step) -> None:
         port = vars(behavior).get(attribute)
         if not told or port is None or not hasattr(port, "release"):
             continue
-        title = f"a flood of {step.target}"
-        world.order(title, step.target, _write_all(port, told[-1].command))
 
+        async def write_all(port: Any = port, command: Any = told[-1].command) -> None:
+            for _ in range(FLOOD):
+                await port.write(command)
 
-async def _write_all(port: Any, command: Any) -> None:
-    for _ in range(FLOOD):
-        await port.write(command)
+        world.order(f"a flood of {step.target}", step.target, write_all())
 
 
 def _process(world: World, step: Step) -> Any:
@@ -379,11 +378,7 @@ def halt(world: World, _step: Step) -> Callable[[], object]:
     halting = world.robot.halt("torture")
     world.halted = True
     if world.is_up:
-
-        async def answer() -> None:
-            await halting
-
-        world.order("halt", world.robot.name, answer())
+        world.order("halt", world.robot.name, asyncio.wait_for(halting, None))
 
     def resume() -> None:
         world.halted = False
