@@ -7,6 +7,7 @@ runs after a cut at any moment is the old program, the new one, or the safe prom
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import hashlib
 import time
@@ -146,7 +147,8 @@ def _make_room(prompt: Prompt, seconds: float) -> str:
     """Have the board at a prompt without a watchdog; return the folder that it starts."""
     for _ in range(5):
         prompt.enter(seconds)
-        state, slot = _pair(prompt.ask(_LOOK))
+        said: tuple[str, str] = ast.literal_eval(prompt.ask(_LOOK))
+        state, slot = said
         if state == AT_PROMPT or (not slot and state != "reset"):
             return slot  # nothing has run that a watchdog could be of
         if not slot:
@@ -157,11 +159,6 @@ def _make_room(prompt: Prompt, seconds: float) -> str:
             prompt.ask(f"open({ROOM!r}, 'w').close()")
         _reset(prompt)
     raise ConfigError("esair min deploy", "board", "it makes no room: it resets itself")
-
-
-def _pair(said: str) -> tuple[str, str]:
-    first, _, second = said.strip("()").partition(", ")
-    return first.strip("'"), second.strip("'")
 
 
 def _reset(prompt: Prompt) -> None:

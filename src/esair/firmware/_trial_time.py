@@ -11,35 +11,28 @@ _skipped = [0]  # in microseconds
 
 
 def sleep_us(count: int) -> None:
-    """Let so much of the clock's time pass."""
     _skipped[0] += count
 
 
 def sleep_ms(count: int) -> None:
-    """Let so much of the clock's time pass."""
     sleep_us(count * 1000)
 
 
 def sleep(seconds: float) -> None:
-    """Let so much of the clock's time pass."""
     sleep_us(int(seconds * 1000000))
 
 
 def ticks_us() -> int:
-    """Give the clock's microseconds."""
     return int(_time.ticks_add(_time.ticks_us(), _skipped[0]))
 
 
 def ticks_ms() -> int:
-    """Give the clock's milliseconds."""
     return int(_time.ticks_add(_time.ticks_ms(), _skipped[0] // 1000))
 
 
 def time_ns() -> int:
-    """Give the clock's nanoseconds since the epoch."""
     return _time.time_ns() + _skipped[0] * 1000
 
 
 def time() -> float:
-    """Give the clock's seconds since the epoch."""
     return time_ns() / 1000000000

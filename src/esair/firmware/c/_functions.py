@@ -259,14 +259,7 @@ def _changes(nodes: Sequence[ast.stmt], name: str) -> bool:
 
 
 class Functions:
-    """Translates what a reaction calls, once for each list of types of arguments.
-
-    Args:
-        reaction: It.
-        types: The types of the robot.
-        constants: The texts of constant tuples, and their names.
-        ports: What the actuators of its ports take, in their order.
-    """
+    """Translates what a reaction calls, once for each list of types of arguments."""
 
     def __init__(
         self,

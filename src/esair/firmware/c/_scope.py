@@ -40,10 +40,7 @@ _ODD: Final = frozenset(
 class RefusedError(Exception):
     """Something that cannot be translated; the reason says how to write it.
 
-    Attributes:
-        reason: What it is, and what to write instead.
-        line: Where it is in its file; 0 if that is not known yet.
-        file: The name of that file.
+    Its line is 0 as long as it is not known where that is.
     """
 
     def __init__(self, reason: str, line: int = 0, file: str = "") -> None:
@@ -53,23 +50,14 @@ class RefusedError(Exception):
 
 @attrs.frozen
 class Type:
-    """A type of C.
+    """A type of C."""
 
-    Attributes:
-        c: What it is called.
-        said: What people call it.
-        fields: The types of a tuple's fields; empty for what is no tuple.
-        names: What its fields are called; empty for a plain tuple.
-        cls: The class of a named tuple.
-        of: What it is if it is not None; None for what is never None.
-    """
-
-    c: str
-    said: str
-    fields: tuple[Type, ...] = ()
-    names: tuple[str, ...] = ()
-    cls: type | None = attrs.field(default=None, eq=False)
-    of: Type | None = None
+    c: str  # what it is called
+    said: str  # what people call it
+    fields: tuple[Type, ...] = ()  # of a tuple
+    names: tuple[str, ...] = ()  # of its fields; empty for a plain tuple
+    cls: type | None = attrs.field(default=None, eq=False)  # of a named tuple
+    of: Type | None = None  # what it is if it is not None, of what may be None
 
     @property
     def row(self) -> Type | None:
@@ -382,23 +370,15 @@ def join(known: Types, one: Type, other: Type, what: str) -> Type:
 
 
 class Scope:
-    """The names of one function, and the lines that are written for it.
-
-    Args:
-        memory: What it shares with the other functions of its reaction.
-        function: It.
-        myself: The name of its first parameter, if that is the reaction.
-        place: The file that it is in, and how many lines are before it there.
-        command: What the actuator takes, if what the function returns is a command.
-    """
+    """The names of one function, and the lines that are written for it."""
 
     def __init__(
         self,
         memory: Memory,
         function: Function,
-        myself: str,
-        place: tuple[str, int],
-        command: Type | None,
+        myself: str,  # its first parameter, if that is the reaction
+        place: tuple[str, int],  # its file, and how many lines are before it there
+        command: Type | None,  # what its actuator takes, if it returns commands
     ) -> None:
         self.memory, self.function = memory, function
         self.types, self.constant = memory.types, memory.constant

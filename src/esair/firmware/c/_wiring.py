@@ -27,41 +27,24 @@ from esair.firmware.c._scope import (
     in_c,
 )
 
-Refuse = Callable[[Any, RefusedError], None]
-"""Called with a part, and what of it cannot be translated."""
-
 
 @attrs.frozen
 class Program:
-    """A robot in C.
-
-    Attributes:
-        types: The types that it has.
-        sensors: What each sensor gives.
-        actuators: What each actuator takes.
-        reactions: The names of the reactions, in the order of MIN's steps.
-        source: ``robot.c``.
-        has_floats: Whether there is any number with a fraction.
-    """
+    """A robot in C."""
 
     types: Types
-    sensors: dict[str, Type]
-    actuators: dict[str, Type]
-    reactions: list[str]
-    source: str
+    sensors: dict[str, Type]  # what each gives
+    actuators: dict[str, Type]  # what each takes
+    reactions: list[str]  # their names, in the order of MIN's steps
+    source: str  # robot.c
     has_floats: bool
 
 
 class Wiring:
-    """Translates the parts of a robot.
+    """Translates the parts of a robot, as `esair.minimal.Loop` takes them.
 
-    Args:
-        reactions: As `esair.minimal.Loop` takes them.
-        sensors: They give what their ``example``, or the annotation of ``read``, says.
-        actuators: They take what their ``safe`` is.
-        rate: Steps per second.
-        armed: Whether actuators move at once.
-        refuse: Called with what cannot be translated.
+    Sensors give what their ``example``, or the annotation of ``read``, says; actuators
+    take what their ``safe`` is. ``refuse`` is told the parts that cannot be translated.
     """
 
     def __init__(
@@ -71,7 +54,7 @@ class Wiring:
         actuators: Sequence[Any],
         rate: float,
         armed: bool,
-        refuse: Refuse,
+        refuse: Callable[[Any, RefusedError], None],
     ) -> None:
         self._armed, self._refuse = armed, refuse
         self._loop = minimal.Loop(reactions, sensors, actuators, rate)
