@@ -62,6 +62,8 @@ class ControlPath:
     ) -> None:
         self._resources = resources
         self.registrations: Registrations = resources.registrations
+        self._lives, self._leaving = resources.lives, resources.leaving
+        self._sensors, self._actuators = resources.sensors, resources.actuators
         # What is no policy, or one too many, is found before the robot starts.
         self.policies: dict[str, Policy] = {
             each.resource: each for each in policies if isinstance(each, Policy)
@@ -90,7 +92,7 @@ class ControlPath:
             raise AccessDeniedError(
                 behavior, resource, "nothing", "ask for some access"
             )
-        is_actuator = resource in self._resources.actuators.channels
+        is_actuator = resource in self._actuators.channels
         wrong = access & (Access.READ if is_actuator else Access.WRITE | Access.GUARD)
         if wrong:
             kind = "an actuator is written" if is_actuator else "a sensor is read"
@@ -130,22 +132,22 @@ class ControlPath:
     def _provider(self, resource: str) -> str:
         """Return the actuator if a name is that of its last command."""
         actuator = resource.removesuffix(APPLIED)
-        return actuator if actuator in self._resources.actuators.channels else resource
+        return actuator if actuator in self._actuators.channels else resource
 
     def _check_there(self, resource: str, provider: str) -> None:
         if self.closed:
             raise StoppingError("resources", SupervisorPhase.STOPPED.value)
-        if provider not in self._resources.lives:
-            raise UnknownNameError("resource", resource, self._resources.lives)
-        if provider in self._resources.leaving:
+        if provider not in self._lives:
+            raise UnknownNameError("resource", resource, self._lives)
+        if provider in self._leaving:
             raise ResourceRemovedError(resource)
 
     def _tell_applied(self, actuator: str) -> None:
         """Have the last command of an actuator as a reading, from now on."""
-        channel = self._resources.actuators.channels[actuator]
+        channel = self._actuators.channels[actuator]
         if channel.wire.applied is None:
             applied = AppliedChannel(channel.actuator, self.registrations)
-            self._resources.sensors.channels[applied.name] = applied
+            self._sensors.channels[applied.name] = applied
             channel.tell_applied(applied)
 
     def revoke(
@@ -153,7 +155,7 @@ class ControlPath:
     ) -> None:
         """Make a registration void in one step; its actuator is made safe."""
         if self.registrations.revoke(registration, reason):
-            life = self._resources.lives.get(registration.resource)
+            life = self._lives.get(registration.resource)
             if life is not None:
                 life.channel.drop(registration)
 
@@ -215,7 +217,7 @@ class ControlPath:
                 str(Access.CONFIGURE),
                 f"it is registered to {registration.access} only: declare configure=True",
             )
-        life = self._resources.lives[registration.resource]
+        life = self._lives[registration.resource]
         if life.channel.state is not ResourceState.READY:
             raise life.channel.absence()
         return life

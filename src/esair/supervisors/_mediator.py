@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from esair.placement import Seat
 
 _NO_QUEUES: Mapping[Any, OrderQueue] = {}
+_NO_TAKERS: list[asyncio.Future[None]] = []  # hot: shared by all where nobody waits
 
 _LEAVING = frozenset({BehaviorState.STOPPING, BehaviorState.REMOVED})
 
@@ -84,7 +85,7 @@ class Mailbox:
     askers: RequestQueue = attrs.field(init=False)
     queues: Mapping[Any, OrderQueue] = _NO_QUEUES
     """The requests that it takes, by their type."""
-    takers: list[asyncio.Future[None]] = attrs.field(factory=list)
+    takers: list[asyncio.Future[None]] = _NO_TAKERS
     budget: Budget = attrs.field(init=False)
     state: BehaviorState = BehaviorState.STARTING
     alive: bool = True
@@ -275,6 +276,8 @@ class Mailbox:
                 raise BehaviorUnavailableError(
                     self.name, "receive anything", timeout, self.state.value
                 )
+            if not self.takers:
+                self.takers = []
             await wait_among(self.takers, lambda: self.inbox, deadline)
         taken = self.inbox.pop(0)
         if self.senders.count:
