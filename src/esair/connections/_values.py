@@ -29,7 +29,6 @@ from esair.flaws import (
     flaw,
     honest,
     is_fixed,
-    is_frozen,
     parts_of,
     slots_of,
 )
@@ -252,11 +251,9 @@ class CommandCheck:
         """What is where in a command: a number, or what has numbers in it."""
         self._of_numbers = _is_of_numbers(actuator.value_type)
         self._length = _length_of(actuator.value_type)
-        self.copies: bool = not (_is_frozen(self.wanted) and _is_fixed(actuator.safe))
+        self.copies: bool = not is_fixed(actuator.value_type)
         """Whether somebody could change a command after its check."""
-        self.slews: bool = bool(
-            self._slew
-        )  # whether how fast a command changes is limited
+        self.slews: bool = bool(self._slew)
         self.checked: Callable[[Any], Any] = self._quickest(actuator)
         """Return the command that may be sent.
 
@@ -429,22 +426,6 @@ def kind_of(actuator: Actuator[Any], field: str) -> Any:
         with contextlib.suppress(AttributeError, LookupError):
             return type(part_of(safe, field))
     return kind
-
-
-def _is_frozen(wanted: Any) -> bool:
-    """Whether nobody can change a value of a class whose parts are numbers."""
-    if wanted is None:
-        return False
-    plain = (int, float, bool, str, bytes)
-    return wanted in plain or issubclass(wanted, enum.Enum) or is_frozen(wanted)
-
-
-def _is_fixed(value: Any) -> bool:
-    """Whether nobody can change a value, nor a part of it."""
-    if value is HOLD or isinstance(value, ATOMS_AND_NUMBERS):
-        return True
-    parts = [part for _, part in parts_of(value)]
-    return _is_frozen(type(value)) and all(map(_is_fixed, parts))
 
 
 def _length_of(kind: Any) -> int:
