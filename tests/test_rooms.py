@@ -74,7 +74,7 @@ PARTS_OF_ONE = {
         *("_mediator", "_requests"),
         *("_control_path", "_resource_deployment", "_resource_life", "_watching"),
     },
-    "esair.torture": {"_judge", "_kinds", "_life", "_world"},
+    "esair.torture": {"_gate", "_judge", "_kinds", "_life", "_world"},
 }
 """Parts that name the type of what they are parts of; they do not import it."""
 

@@ -100,17 +100,13 @@ class ActuatorChannel(Device):
         wire = Wire(self)
         self.wire: Wire = wire
         self.guards: Guards = Guards(wire)
-        self.safe: SafeCommand = SafeCommand(
-            wire, self, on_due=self._made_safe, on_idle=self._idle
-        )
+        self.safe: SafeCommand = SafeCommand(wire, self)
         self.stillness: Stillness = Stillness(
             self, self.gate, self.hold, self.guards, wire, self.safe
         )
         self._dead_man = self.stillness.dead_man
         self._waiting = WaitingWrites(actuator.name, self.loop)
-        self.decision: Decision = Decision(
-            self, self.loop
-        )  # what reactions want in this turn
+        self.decision: Decision = Decision(self)  # what reactions want in this turn
         self.attach(actuator)
 
     def attach(self, actuator: Actuator[Any]) -> None:
@@ -146,7 +142,14 @@ class ActuatorChannel(Device):
         return self.writes
 
     def told(self) -> LastCommand:
-        return self.wire.last_command()
+        """Report what it was told, and whether that is what it does."""
+        told, error = self.wire.told, self.wire.told.error
+        if told.is_undone and not error:
+            error = "a motion, begun before it, has ended after it"
+        earlier = self.wire.unsettled()
+        if earlier is not None and not (error and earlier.kind == "safe"):
+            error = f"{earlier}, begun before it, has not ended"
+        return LastCommand(self.name, told.command, told.is_safe, not error, error)
 
     def not_told(self, error: BaseException) -> None:
         """Take note that the device could not be told its safe command."""
@@ -206,7 +209,7 @@ class ActuatorChannel(Device):
         if wire.applied is not None:
             wire.applied.down(state, error)
         self.calls.next_opening(error)
-        self._idle()
+        self.idle()
         self.operations.gone(error)
 
     def removed(self) -> None:
@@ -268,7 +271,7 @@ class ActuatorChannel(Device):
         """Send the safe command, before anything else; nobody holds it afterwards."""
         return self.safe.make(stay=stay)
 
-    def _made_safe(self) -> None:
+    def made_safe(self) -> None:
         """It gets its safe command: what was begun, and who held it, is over."""
         self.stillness.disarm()
         if self.operations.running:
@@ -671,9 +674,9 @@ class ActuatorChannel(Device):
             self.wire.lane = None
         if self.safe.overtaken(call):
             self.safe.repeat()
-        self._idle()
+        self.idle()
 
-    def _idle(self) -> None:
+    def idle(self) -> None:
         """Something has ended: let those that wait look again."""
         self.safe.pulse()
         self.operations.look()
@@ -742,7 +745,7 @@ class ActuatorChannel(Device):
             self.wire.lane = None
         self.hold.begun = min(self.hold.begun, self.time())
         self.safe.after_operation()
-        self._idle()
+        self.idle()
 
     def _safe_instead(self) -> EsairError:
         """Make the error for an operation that the safe command has ended."""

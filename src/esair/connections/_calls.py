@@ -34,6 +34,7 @@ from esair.loop import (
     WAITS,
     Caller,
     CallRefused,
+    Deadline,
     Deadlines,
     Door,
     Executor,
@@ -64,22 +65,14 @@ Guard = Callable[[], bool]
 
 @attrs.frozen
 class Method:
-    """A method of a driver, and where it is called.
-
-    Attributes:
-        function: What is called: a coroutine function, unless there is an executor or
-            it is plain.
-        executor: Returns the thread that calls it; None if it is called in the loop.
-        name: Its name.
-        is_plain: It is a plain function that is called in the loop.
-        is_usual: It is a coroutine function, as most are.
-    """
+    """A method of a driver, and where it is called."""
 
     function: Callable[..., Any]
     executor: Callable[[], Executor] | None
+    """Returns the thread that calls it; None if it is called in the loop."""
     name: str = ""
-    is_plain: bool = False
-    is_usual: bool = attrs.field(init=False)
+    is_plain: bool = False  # a plain function that is called in the loop
+    is_usual: bool = attrs.field(init=False)  # a coroutine function, as most are
 
     @is_usual.default
     def _find_usual(self) -> bool:
@@ -133,15 +126,8 @@ class Driver:
 
     async def end_executors(self, timeout: float) -> bool:
         """End the resource's own threads; tells whether they have ended in time."""
-        executors = [
-            executor
-            for executor in (self._own_executor, self._stream_executor)
-            if executor
-        ]
-        ended = await asyncio.gather(
-            *(executor.join(timeout) for executor in executors)
-        )
-        return all(ended)
+        executors = filter(None, (self._own_executor, self._stream_executor))
+        return all(await asyncio.gather(*(each.join(timeout) for each in executors)))
 
     def method(self, name: str) -> Method:
         """Return a method, to be called where it belongs."""
@@ -275,11 +261,7 @@ class Call:
 
     def __str__(self) -> str:
         what = ", ".join(f"{each!r:.40}" for each in self.args)
-        return f"{self.kind} {self.number} ({what})" if what else self._short
-
-    @property
-    def _short(self) -> str:
-        return f"{self.kind} {self.number}"
+        return f"{self.kind} {self.number}" + (f" ({what})" if what else "")
 
 
 class GivenUpError(DeviceLostError):
@@ -298,6 +280,7 @@ ABANDONED_LIMIT = 8
 """How many abandoned calls of one device may be alive; with so many, none is begun."""
 
 
+@attrs.define(eq=False)
 class Calls:
     """The calls of one driver. Their numbers, and those of the openings, only grow.
 
@@ -306,67 +289,42 @@ class Calls:
     later has an effect, but that whoever owns it hears of its end (``on_late``).
     """
 
-    # Slots: a thousand of these are touched a hundred times a second.
-    __slots__ = (
-        "_deadline",
-        "_deadlines",
-        "_door",
-        "_left",
-        "_loop",
-        "_on_late",
-        "_on_stuck",
-        "_steps",
-        "abandoned",
-        "alive",
-        "caller",
-        "driver",
-        "late",
-        "lost",
-        "number",
-        "on_late_open",
-        "opening",
-        "resource",
-        "time",
-    )
+    driver: Driver
+    _loop: asyncio.AbstractEventLoop
+    _on_late: Callable[[Call], None] = attrs.field(kw_only=True)
+    _on_stuck: Callable[[Call], None] = attrs.field(kw_only=True)
+    _left: set[Call] = attrs.field(kw_only=True)
+    resource: str = attrs.field(init=False)
+    time: Callable[[], float] = attrs.field(init=False)
+    caller: Caller = attrs.field(init=False)
+    """What the driver's first steps run in, so that it belongs to nobody."""
+    _deadlines: Deadlines = attrs.field(init=False)
+    _deadline: Deadline = attrs.field(
+        init=False
+    )  # of the call whose time is over first
+    _door: Door = attrs.field(init=False)
+    _steps: FirstSteps = attrs.field(init=False)
+    opening: int = 0
+    number: int = 0  # of the newest call that waits, or has waited
+    alive: dict[int, Call] = attrs.field(factory=dict)
+    """The calls whose driver's code has not ended, by number."""
+    abandoned: int = 0  # how many calls have had their outcome before they ended
+    late: int = 0  # how many of them have ended since, without an effect
+    lost: EsairError | None = None
+    """What each call of this opening meets, from when the device was told to be lost
+    until that takes effect at the border of a turn. It is an outcome of the calls, which
+    a replay can repeat; a state that changes amid a turn is not."""
+    on_late_open: Apply | None = None
+    """Told of an opening that has ended after it was given up."""
 
-    def __init__(
-        self,
-        driver: Driver,
-        loop: asyncio.AbstractEventLoop,
-        *,
-        on_late: Callable[[Call], None],
-        on_stuck: Callable[[Call], None],
-        left: set[Call],
-    ) -> None:
-        self.driver: Driver = driver
-        self.resource: str = driver.resource.name
-        self.opening: int = 0
-        self.number: int = 0
-        """That of the newest call that waits, or has waited."""
-        self.alive: dict[int, Call] = {}
-        """The calls whose driver's code has not ended, by number."""
-        self.abandoned: int = (
-            0  # how many calls have had their outcome before they ended
-        )
-        self.late: int = 0  # how many of them have ended since, without an effect
-        self.lost: EsairError | None = None
-        """What each call of this opening meets, from when the device was told to be lost
-        until that takes effect at the border of a turn. It is an outcome of the calls,
-        which a replay can repeat; a state that changes amid a turn is not."""
-        self.on_late_open: Apply | None = None
-        """Told of an opening that has ended after it was given up."""
-        self._loop = loop
-        self.time: Callable[[], float] = clock_of(loop)
+    def __attrs_post_init__(self) -> None:
+        loop, self.resource = self._loop, self.driver.resource.name
+        self.time = clock_of(loop)
         self._deadlines = Deadlines.of(loop)
         self._deadline = self._deadlines.idle(self._expire)
-        """That of the call whose time is over first."""
         self._door = Door.of(loop)
-        self._on_late = on_late
-        self._on_stuck = on_stuck
-        self._left = left
         self._steps = FirstSteps.of(loop)
-        self.caller: Caller = Caller(f"{self.resource} driver", driver.urgency)
-        """What the driver's first steps run in, so that it belongs to nobody."""
+        self.caller = Caller(f"{self.resource} driver", self.driver.urgency)
 
     def begin(
         self,
@@ -380,8 +338,8 @@ class Calls:
             self._check_abandoned(kind)
         if self._door.tape is not None:
             return self._begin_taped(self._door.tape, kind, method, args, limit, guard)
-        if self.lost is not None:
-            self._check_lost(kind)
+        if self.lost is not None and kind != "close":
+            raise self.lost.with_traceback(None)
         if method.is_plain:
             try:
                 value = self.caller.context.run(method.function, *args)
@@ -428,7 +386,8 @@ class Calls:
         guard: Guard | None,
     ) -> Any:
         """Call a method of the driver, whether or not the run is kept."""
-        self._check_lost(kind)
+        if self.lost is not None and kind != "close":
+            raise self.lost.with_traceback(None)
         if method.executor is not None:
             call = self._track(kind, args, limit)
             threaded = ThreadedCall(self, call, method, guard)
@@ -659,10 +618,6 @@ class Calls:
         fault = DeviceFaultError(self.resource, describe(error))
         fault.__cause__ = error
         return fault
-
-    def _check_lost(self, kind: str) -> None:
-        if self.lost is not None and kind != "close":
-            raise self.lost.with_traceback(None)
 
     def _check_abandoned(self, kind: str) -> None:
         if kind in {"safe", "close"}:

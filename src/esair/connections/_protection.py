@@ -326,20 +326,13 @@ def _now() -> float:
     return clock_of(asyncio.get_running_loop())()
 
 
+@attrs.define(eq=False)
 class Guards:
-    """The guards of one actuator, and what was asked of it last.
+    """The guards of one actuator, and what was asked of it last."""
 
-    Attributes:
-        all: The guards, by priority.
-        asked: The command that was asked for last, before a guard has weighed it.
-    """
-
-    __slots__ = ("_wire", "all", "asked")
-
-    def __init__(self, wire: Wire) -> None:
-        self._wire = wire
-        self.all: tuple[Protection, ...] = ()
-        self.asked: Any = None
+    _wire: Wire
+    all: tuple[Protection, ...] = ()  # by priority
+    asked: Any = None  # what was asked for last, before a guard has weighed it
 
     def weigh(
         self, command: Any, *, moving: bool

@@ -429,21 +429,13 @@ class Source(NamedTuple):
     optional: bool = False  # whether the other one is computed without it as well
 
 
-def _nothing_new() -> bool:
-    return False
-
-
 class Computation(NamedTuple):
-    """How a sensor is computed of others.
+    """How a sensor is computed of others."""
 
-    Attributes:
-        sources: What it is computed of; empty until all of that is there.
-        catch_up: Computes at once what waits for its place in the turn; tells whether
-            the newest reading is of the newest readings of the sources then.
-    """
-
-    sources: tuple[Source, ...] = ()
-    catch_up: Callable[[], bool] = _nothing_new
+    sources: tuple[Source, ...] = ()  # empty until all of that is there
+    catch_up: Callable[[], bool] = bool
+    """Computes at once what waits for its place in the turn; tells whether the newest
+    reading is of the newest readings of the sources then."""
 
 
 class DerivedChannel(SensorChannel):
@@ -472,11 +464,8 @@ class DerivedChannel(SensorChannel):
     @property
     def depth(self) -> int:
         """How many computations come before it, one of the other."""
-        below = [
-            source.channel.depth
-            for source in self.computation.sources
-            if isinstance(source.channel, DerivedChannel)
-        ]
+        channels = [source.channel for source in self.computation.sources]
+        below = [each.depth for each in channels if isinstance(each, DerivedChannel)]
         return 1 + max(below) if below else 0
 
     def publish_until(self, value: Any, oldest: float, stale_at: float) -> bool:

@@ -53,6 +53,7 @@ class Sight(NamedTuple):
     sensors: tuple[SensorChannel, ...]  # which are asked for what they decide on
 
 
+@attrs.define(eq=False)
 class Decision:
     """The wishes of one turn for one actuator; at most one command leaves.
 
@@ -61,28 +62,16 @@ class Decision:
     the name), whatever the order in which they decided.
     """
 
-    __slots__ = (
-        "_channel",
-        "_looks",
-        "_others",
-        "_scheduler",
-        "_wish",
-        "changes_hands",
-        "sights",
-    )
+    _channel: ActuatorChannel
+    _scheduler: Scheduler = attrs.field(init=False)
+    sights: list[Sight] = attrs.field(factory=list)  # of those who have a say in it
+    _wish: Wish | None = None
+    _others: tuple[Wish, ...] = ()
+    _looks: bool = False  # the guards see something new in this turn
+    changes_hands: bool = False  # who gives it back is not the last of the turn
 
-    def __init__(
-        self, channel: ActuatorChannel, loop: asyncio.AbstractEventLoop
-    ) -> None:
-        self._channel = channel
-        self._scheduler = Scheduler.of(loop)
-        self.sights: list[Sight] = []  # what those see who have a say in it
-        self._wish: Wish | None = None
-        self._others: tuple[Wish, ...] = ()
-        self._looks = False  # the guards see something new in this turn
-        self.changes_hands: bool = (
-            False  # who gives it back is not the last of the turn
-        )
+    def __attrs_post_init__(self) -> None:
+        self._scheduler = Scheduler.of(self._channel.loop)
 
     def join(self, sight: Sight) -> None:
         """Let those who decide with them wait for what they see."""
@@ -170,16 +159,14 @@ class WaitingWrite:
             self.turn.set_result(end)
 
 
+@attrs.define(eq=False)
 class WaitingWrites:
     """Keeps writes in order: the highest priority goes first, then the oldest."""
 
-    __slots__ = ("_loop", "_name", "_writes", "turned_away")
-
-    def __init__(self, name: str, loop: asyncio.AbstractEventLoop) -> None:
-        self._name = name
-        self._loop = loop
-        self._writes: list[WaitingWrite] = []
-        self.turned_away = 0
+    _name: str
+    _loop: asyncio.AbstractEventLoop
+    _writes: list[WaitingWrite] = attrs.field(factory=list)
+    turned_away: int = 0
 
     def __bool__(self) -> bool:
         return bool(self._writes)

@@ -15,7 +15,6 @@ import attrs
 
 from esair.connections._calls import Call, Guard, Method, translate_call
 from esair.connections._device import Operating
-from esair.connections._gate import LastCommand
 from esair.connections._values import CommandCheck
 from esair.exceptions import (
     DeviceFaultError,
@@ -26,12 +25,13 @@ from esair.exceptions import (
     describe,
 )
 from esair.flaws import unsound
-from esair.journal import Kind
+from esair.journal import Journal, Kind
 from esair.loop import REACHED, SAFE, Deadline, Deadlines, spawn, wake
 from esair.messages import Refused, ResourceState, Written
 from esair.resources import HOLD, Actuator
 
 if TYPE_CHECKING:
+    from esair.connections._actuator_channel import ActuatorChannel
     from esair.connections._device import Device
     from esair.connections._sensor_channel import AppliedChannel
 
@@ -71,9 +71,7 @@ class Told:
     error: str = "it was never told anything"  # why not; empty if its driver took it
     at: float = 0.0  # when it was told what nobody wrote: safe, or less by a guard
     base: Any = None  # where it is, as far as it has said, while it was told to stay
-    is_undone: bool = (
-        False  # whether a motion has ended since, which may have undone it
-    )
+    is_undone: bool = False  # whether a motion has ended since that may undo it
 
     @property
     def place(self) -> Any:
@@ -82,83 +80,61 @@ class Told:
         return None if isinstance(place, Operating) else place
 
 
+@attrs.define(eq=False)
 class Wire:
-    """The way of commands to one driver; `send` is the only one of a motion.
+    """The way of commands to one driver; `send` is the only one of a motion."""
 
-    Attributes:
-        actuator: Whose driver it is.
-        blocks: Whether its driver is called in a thread.
-        bounds: Whether a command is bounded, or asked for, before it is sent: how fast
-            commands change is limited, or there is a watchdog.
-        check: The check of what may be sent to it.
-        command_timeout: After how many seconds without a write it gets its safe command.
-        copies: Whether somebody could change a command after its check.
-        slews: Whether how fast its commands change is limited.
-        still: What it is told for protection's sake: its safe command, or to stay where
-            that is a place to go.
-        lane: The write that waits for the device: there is one at a time.
-        told: What it was told last.
-        applied: Given each command that was applied, if somebody reads that.
-        watch: Told when it moves and when it is safe, if there is a watchdog.
-    """
+    _device: Device
+    _journal: Journal = attrs.field(init=False)
+    _begin: Callable[..., Any] = attrs.field(init=False)
+    _deadline: float = attrs.field(init=False)
+    actuator: Actuator[Any] = attrs.field(init=False)
+    method: Method = attrs.field(init=False)
+    check: CommandCheck = attrs.field(init=False)
+    blocks: bool = attrs.field(init=False)  # whether its driver is called in a thread
+    copies: bool = attrs.field(init=False)
+    """Whether somebody could change a command after its check."""
+    slews: bool = attrs.field(init=False)
+    """Whether how fast its commands change is limited."""
+    bounds: bool = attrs.field(init=False)
+    """Whether that is so, or a watchdog is asked for each command."""
+    command_timeout: float = attrs.field(init=False)
+    still: Any = attrs.field(init=False)
+    """What it is told for protection's sake: its safe command, or to stay where that is a
+    place to go."""
+    told: Told = attrs.field(init=False)
+    lane: Call | None = None  # what waits for the device: there is one at a time
+    applied: AppliedChannel | None = None  # given each command that was applied
+    watch: Watched | None = None  # told when it moves, and when it is safe
 
-    slews: bool
-
-    copies: bool
-
-    __slots__ = (
-        "_begin",
-        "_deadline",
-        "_device",
-        "_journal",
-        "actuator",
-        "applied",
-        "blocks",
-        "bounds",
-        "check",
-        "command_timeout",
-        "copies",
-        "lane",
-        "method",
-        "slews",
-        "still",
-        "told",
-        "watch",
-    )
-
-    def __init__(self, device: Device) -> None:
-        self._device = device
-        self._journal = device.registrations.journal
-        self.lane: Call | None = None
-        self.applied: AppliedChannel | None = None
-        self.watch: Watched | None = None
+    def __attrs_post_init__(self) -> None:
+        self._journal = self._device.registrations.journal
 
     def attach(self, actuator: Actuator[Any]) -> None:
         """Write to this actuator from now on; it was told nothing."""
-        self.actuator: Actuator[Any] = actuator
-        self.told: Told = Told()
+        self.actuator = actuator
+        self.told = Told()
         self._begin = self._device.calls.begin  # hot
         self.configured()
 
     def configured(self) -> None:
         """Take over changed limits and time-outs."""
         actuator = self.actuator
-        self.command_timeout: float = float(actuator.command_timeout)
+        self.command_timeout = float(actuator.command_timeout)
         self._deadline = actuator.deadline
-        self.still: Any = HOLD if actuator.safe_moves else actuator.safe
-        check = CommandCheck(actuator)
-        self.check: CommandCheck = check
+        self.still = HOLD if actuator.safe_moves else actuator.safe
+        check = self.check = CommandCheck(actuator)
         self.copies, self.slews = check.copies, check.slews
-        self.bounds: bool = self.slews or self.watch is not None
+        self.bounds = self.slews or self.watch is not None
         method = self._device.driver.method("write")
-        self.blocks: bool = method.executor is not None
+        self.blocks = method.executor is not None
         write = method.function
         if self.copies:
             # The driver's and the guards' code may change what is in theirs.
             method = attrs.evolve(
                 method, function=lambda command: write(copy.deepcopy(command))
             )
-        self.method: Method = method
+        self.method = method
 
     def send(
         self,
@@ -294,17 +270,6 @@ class Wire:
             if call.may_move and call.resource == self._device.name:
                 yield call
 
-    def last_command(self) -> LastCommand:
-        """Report what it was told, and whether that is what it does."""
-        told, error = self.told, self.told.error
-        if told.is_undone and not error:
-            error = "a motion, begun before it, has ended after it"
-        earlier = self.unsettled()
-        if earlier is not None and not (error and earlier.kind == "safe"):
-            error = f"{earlier}, begun before it, has not ended"
-        name = self._device.name
-        return LastCommand(name, told.command, told.is_safe, not error, error)
-
 
 class State(enum.Enum):
     """Where a safe command is that somebody has asked for."""
@@ -317,6 +282,7 @@ class State(enum.Enum):
 DUE, ON_ITS_WAY, AGAIN = State
 
 
+@attrs.define(eq=False)
 class SafeCommand:
     """Makes one actuator safe: it is the last thing on the wire.
 
@@ -324,41 +290,23 @@ class SafeCommand:
     was begun before it.
     """
 
-    __slots__ = (
-        "_device",
-        "_last_moment",
-        "_number",
-        "_on_due",
-        "_on_idle",
-        "_pulses",
-        "_refused",
-        "_stays",
-        "_task",
-        "_wire",
-        "state",
-    )
+    _wire: Wire
+    _device: ActuatorChannel
+    _refused: Deadline = attrs.field(init=False)
+    """When it is sent again because the device has refused it."""
+    _last_moment: float = math.inf  # until when the stop of the robot waits for it
+    _pulses: list[asyncio.Future[None]] = attrs.field(factory=list)
+    _task: asyncio.Task[bool] | None = None
+    _number: int = 0  # of the newest call with the safe command, if that waits
+    _stays: bool = False
+    """What is on its way is to stay, because safe is a place to go."""
+    state: State | None = None  # nobody has asked for it
 
-    def __init__(
-        self,
-        wire: Wire,
-        device: Device,
-        *,
-        on_due: Callable[[], None],
-        on_idle: Callable[[], None],
-    ) -> None:
-        self._wire = wire
-        self._device = device
-        self._on_due = on_due  # called whenever somebody has asked for it
-        self._on_idle = on_idle  # called when it has been sent
-        self._last_moment = math.inf
-        """Until when the stop of the robot waits for it."""
-        self._pulses: list[asyncio.Future[None]] = []
-        self._refused: Deadline = Deadlines.of(device.loop).idle(self._once_more)
-        """When it is sent again because the device has refused it."""
-        self._task: asyncio.Task[bool] | None = None
-        self.state: State | None = None  # nobody has asked for it
-        for call in wire.motions_left():  # of one of this name, which was removed
-            over: asyncio.Future[None] = device.loop.create_future()
+    def __attrs_post_init__(self) -> None:
+        loop = self._device.loop
+        self._refused = Deadlines.of(loop).idle(self._once_more)
+        for call in self._wire.motions_left():  # of one of this name, which was removed
+            over: asyncio.Future[None] = loop.create_future()
             over.add_done_callback(lambda _: self.repeat())
             call.waiters.append(over)
 
@@ -366,13 +314,11 @@ class SafeCommand:
         """Begin with a device that was told nothing."""
         if self._task is None:
             self.state = None
-        self._number = 0  # of the newest call with the safe command, if that waits
-        self._stays = False
-        """What is on its way is to stay, because safe is a place to go."""
+        self._number, self._stays = 0, False
 
     def make(self, *, stay: bool = False) -> asyncio.Task[bool]:
         """Send the safe command, before anything else; or have it stay where it is."""
-        self._on_due()
+        self._device.made_safe()
         stay = stay and self._wire.actuator.safe_moves
         task = self._task
         if task is None:
@@ -505,7 +451,7 @@ class SafeCommand:
         if self._task is task:
             self._task = None
             self.state = None
-            self._on_idle()
+            self._device.idle()
 
     async def _try(self) -> bool:
         device, wire = self._device, self._wire
