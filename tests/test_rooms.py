@@ -63,8 +63,8 @@ PARTS_OF_ONE = {
         *("_scheduler", "_tape", "_turn"),
     },
     "esair.connections": {
-        *("_actuator_channel", "_device", "_gate"),
-        *("_protection", "_sensor_channel", "_turns"),
+        *("_actuator_channel", "_device", "_gate", "_hearing"),
+        *("_protection", "_sensor_channel", "_turns", "_wire"),
     },
     "esair.placement": {"_child", "_home", "_loop"},
     "esair.seat": {"_acts", "_operator"},
