@@ -345,10 +345,9 @@ class Behavior(ProfiledAction):
             TimeoutError: There was none in time; what comes later waits.
             BadValueError: It is something else; it is taken all the same.
         """
-        sender, data = await self._take(timeout)
-        return (
-            data if as_type is None else self._checked(data, as_type, "receive", sender)
-        )
+        # That of a plain behavior in its thread would wait in the loop.
+        asked = Behavior.receive_from(self, timeout=timeout, as_type=as_type)
+        return (await asked)[1]
 
     async def receive_from(
         self, *, timeout: float | None = None, as_type: type[D] | None = None
@@ -358,7 +357,14 @@ class Behavior(ProfiledAction):
         Returns:
             Who has put it, and the data.
         """
-        sender, data = await self._take(timeout)
+        mail = self._mail
+        budget = mail.budget
+        budget.late -= PUT_COST
+        if budget.clock() > budget.late:
+            await budget.give_way()
+        if timeout is not None:
+            check_duration(self.name, "timeout", timeout)
+        sender, data = await mail.receive(timeout)
         if as_type is not None:
             self._checked(data, as_type, "receive", sender)
         return sender, data
@@ -546,16 +552,6 @@ class Behavior(ProfiledAction):
     def provides(self) -> bool:
         """Whether the class has a ``provide``."""
         return type(self).provide is not Behavior.provide
-
-    async def _take(self, timeout: float | None) -> tuple[str, Any]:
-        mail = self._mail
-        budget = mail.budget
-        budget.late -= PUT_COST
-        if budget.clock() > budget.late:
-            await budget.give_way()
-        if timeout is not None:
-            check_duration(self.name, "timeout", timeout)
-        return await mail.receive(timeout)
 
     def _checked(self, data: Any, wanted: type[T], verb: str, sender: str) -> T:
         if isinstance(data, wanted) or passes_as(data, wanted):
