@@ -101,18 +101,6 @@ class Derived(Sensor[T]):
         """
 
 
-class _Computing(Reaction):
-    """What a derived sensor does, as a reaction without an actuator."""
-
-    def __init__(self, derived: Derived[Any]) -> None:
-        super().__init__(name=derived.name, reads=derived.inputs)
-        self.budget = derived.budget
-        self._compute = derived.compute
-
-    def react(self, **readings: Any) -> Any:
-        return self._compute(**readings)
-
-
 class _Tap(Input):
     """One source of a derived sensor."""
 
@@ -165,7 +153,10 @@ class Derivation(ReactionRunner):
         began: float = 0.0,
         owner: Owner | None = None,
     ) -> None:
-        super().__init__(_Computing(derived), Hooks(), began=began, owner=owner)
+        computing = Reaction(name=derived.name, reads=derived.inputs)
+        computing.budget = derived.budget
+        computing.react = derived.compute  # type: ignore[method-assign]
+        super().__init__(computing, Hooks(), began=began, owner=owner)
         self._derived = derived
         self._channel = channel
         self._is_current = False
