@@ -340,14 +340,11 @@ class SafeCommand:
 
     def _once_more(self) -> None:
         """Send it again, because it was refused; unless something else was sent since."""
-        is_last = self._wire.told.command is self._command
-        ready = self._device.state is ResourceState.READY
-        if is_last and ready and self._wire.told.error and self._task is None:
+        told, ready = self._wire.told, self._device.state is ResourceState.READY
+        command = HOLD if self._stays else self._wire.actuator.safe
+        is_last = told.command is command and told.error and self._task is None
+        if is_last and ready:
             self._begin()
-
-    @property
-    def _command(self) -> Any:
-        return HOLD if self._stays else self._wire.actuator.safe
 
     def repeat(self) -> None:
         """Send it again: a motion has ended that may have undone it."""
@@ -385,7 +382,6 @@ class SafeCommand:
 
     def close(self) -> None:
         """Nobody waits for it any more; a thread that has it goes on."""
-        self._refused.cancel()
         if self._task is not None:
             self._task.cancel()
 
@@ -490,7 +486,7 @@ class SafeCommand:
     async def _tell(self, limit: float | None = None) -> None:
         device, wire = self._device, self._wire
         actuator, calls, told = wire.actuator, device.calls, wire.told
-        command = self._command
+        command = HOLD if self._stays else actuator.safe
         if command is HOLD:
             told.base = told.place
         told.command = command
