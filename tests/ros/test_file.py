@@ -14,7 +14,7 @@ from tests.ros.parts import twist
 import esair
 from esair.buses.ros import READY, FakeRos, Odometry, Scan, form_of
 from esair.cli._ros import lines_of
-from esair.config import check
+from esair.config import check, load
 
 PARTS = """
 import attrs
@@ -202,6 +202,23 @@ def test_a_mistake_is_found_before_anything_moves(
     (mistake,) = [each for each in found if told in each.message]
     assert key in mistake.key
     assert mistake.line is not None
+
+
+@pytest.mark.promise("ROS-1")
+def test_a_simulation_joins_no_graph_by_an_omission(file: Path) -> None:
+    """It could move what is real: it needs ``sim``, whose keys replace those beside it."""
+    for part in ("sensor.where", "actuator.wheels"):
+        change(file, f"[{part}]", f"[{part}]\nsim = {{}}")
+    with pytest.raises(ExceptionGroup) as refused:
+        load(file, simulated=True)
+    (mistake,) = refused.value.exceptions
+    assert str(mistake).startswith(f"{file}:5")
+    assert "sim = {} to join it as it is" in str(mistake)
+
+    change(file, "domain = 7", "domain = 7\nsim = { domain = 8 }")
+    bus: Any = load(file, simulated=True).buses["ros"]
+    assert bus.network.domain == 8
+    assert load(file).buses["ros"].network.domain == 7  # type: ignore[attr-defined]
 
 
 @pytest.mark.promise("ROS-2")

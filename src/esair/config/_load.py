@@ -291,7 +291,7 @@ def has_simulation(tables: Mapping[str, Any]) -> bool:
     """Tell whether a file says what stands for some part of it in a simulation."""
     kinds = (tables.get(each) for each in ("bus", "sensor", "actuator"))
     parts = (part for kind in kinds if isinstance(kind, dict) for part in kind.values())
-    every = (tables.get("network"), *parts)
+    every = (tables.get("network"), tables.get("ros"), *parts)
     return any(isinstance(part, dict) and "sim" in part for part in every)
 
 

@@ -29,8 +29,8 @@ TABLES: Final = frozenset({"network", "remote", "share"})
 _DRIVERS: Final = "esair.drivers.peer"
 _ACCESS: Final = {"sensor": "read", "actuator": "write", "behavior": "ask"}
 _JOINS: Final = (
-    "the simulation would join the real network, and move real peers: expected "
-    "sim = { ... } with what replaces its keys (sim = {} to join it as it is)"
+    "the simulation would join the real {}, and move what is real: expected "
+    "sim = {{ ... }} with what replaces its keys (sim = {{}} to join it as it is)"
 )
 
 
@@ -87,9 +87,7 @@ def read_peers(draft: Draft) -> Peers | None:
         return None
     from esair.buses.peer import Network
 
-    variant = variant_of(draft, "network", source.data["network"], "driver")
-    if draft.simulated and not variant.is_simulated:
-        source.mistakes.add("network", _JOINS)
+    variant = joined(draft, "network")
     name = variant.table.pop("name", draft.robot["name"])
     me = source.convert(name, str, variant.keys.get("name", "network.name"))
     shared = (each for share in shares.values() for each in share.to)
@@ -106,6 +104,14 @@ def read_peers(draft: Draft) -> Peers | None:
                 key, driver = dotted("remote", peer, kind, name), kind.capitalize()
                 add_table(source, key, kind, name, f"Peer{driver}", table, peer)
     return Peers(str(me), network, remotes, shares, names)
+
+
+def joined(draft: Draft, key: str) -> Variant:
+    """Return the table of a network, which a simulation joins only if told so."""
+    variant = variant_of(draft, key, draft.source.data[key], "driver")
+    if draft.simulated and not variant.is_simulated:
+        draft.source.mistakes.add(key, _JOINS.format(key))
+    return variant
 
 
 def _remotes(

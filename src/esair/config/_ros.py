@@ -23,6 +23,7 @@ from esair.config._network import (
     add_remote,
     add_sharing,
     add_table,
+    joined,
     part_of,
     requests_of,
     share_of,
@@ -127,7 +128,7 @@ def read_ros(draft: Draft) -> Citizen | None:
     source = draft.source
     if "ros" not in source.data:
         return None
-    table = source.convert(source.data["ros"], _Ros, "ros")
+    table = source.convert(joined(draft, "ros").table, _Ros, "ros")
     if table is INVALID:
         return None
     from esair.buses.ros import Process, Ros
