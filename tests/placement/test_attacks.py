@@ -68,10 +68,14 @@ def children_of(pid: int) -> list[int]:
     ],
 )
 @pytest.mark.parametrize("busy", [False, pytest.param(True, marks=pytest.mark.long)])
+@pytest.mark.parametrize("stood", [False, True])
 def test_nothing_outlives_the_robot(
-    tmp_path: Path, how: signal.Signals, busy: bool
+    tmp_path: Path, how: signal.Signals, busy: bool, stood: bool
 ) -> None:
-    """Whatever ends the robot's process ends its children, and what they have begun."""
+    """Whatever ends the robot's process ends its children, and what they have begun.
+
+    Also where the one that makes them was stopped before.
+    """
     script = tmp_path / "robot_of_children.py"
     script.write_text(
         textwrap.dedent(
@@ -108,6 +112,8 @@ def test_nothing_outlives_the_robot(
                 break
         children = children_of(robot.pid)
         assert len(children) == 5  # the one that makes them, and two with a helper
+        if stood:
+            os.kill(children[0], signal.SIGSTOP)
         os.kill(robot.pid, how)
         end = time.monotonic() + 10.0
         while any(lives(pid) for pid in children):

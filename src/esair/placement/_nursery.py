@@ -100,6 +100,7 @@ class Nursery:
             if Nursery._one is self:
                 Nursery._one = None
             self._control.close()  # it ends what it has made, and itself
+            self._process.send_signal(signal.SIGCONT)  # also where it was stopped
             its_end = os.pidfd_open(self._process.pid)
             select.select((its_end,), (), (), _PATIENCE)
             os.close(its_end)
@@ -159,6 +160,8 @@ def _die_with_parent(parent: int) -> None:
 def main() -> None:
     """Serve until the process that has started this one is gone."""
     control_fd, parent_fd = map(int, sys.argv[1:3])
+    # One that was stopped goes on when its robot dies: it has children to end.
+    _libc.prctl(_PDEATHSIG, signal.SIGCONT)
     for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         # The robot's: it stops in order, and ends this. Not ignored: what a component
         # begins would ignore them, too.
