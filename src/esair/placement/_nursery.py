@@ -99,9 +99,9 @@ class Nursery:
                 return
             if Nursery._one is self:
                 Nursery._one = None
-            self._control.close()  # it ends what it has made, and itself
-            self._process.send_signal(signal.SIGCONT)  # also where it was stopped
             its_end = os.pidfd_open(self._process.pid)
+            self._control.close()  # it ends what it has made, and itself
+            signal.pidfd_send_signal(its_end, signal.SIGCONT)  # if it was stopped, too
             select.select((its_end,), (), (), _PATIENCE)
             os.close(its_end)
             self._process.kill()  # its children die with it
