@@ -166,16 +166,14 @@ def test_a_stop_that_all_are_told_is_the_robots(
     assert "failed" not in told
 
 
-@pytest.mark.long
 @pytest.mark.promise("PLC-1")
-def test_a_script_that_runs_when_it_is_imported_is_told(tmp_path: Path) -> None:
-    """A child imports the script; one that begins a robot then is refused, and says why."""
+def test_a_script_that_runs_when_it_is_imported_is_refused(tmp_path: Path) -> None:
+    """A child imports the script: one that would begin a robot then is one error."""
     script = tmp_path / "unguarded.py"
     script.write_text(
         "import esair\n"
         "class One(esair.Behavior):\n"
         "    placement = 'process'\n"
-        "    restart = esair.Restart(max=0)\n"
         "    async def run(self) -> None: pass\n"
         "esair.run(esair.Robot(behaviors=[One()]), duration=5.0)\n",
         encoding="utf-8",
@@ -187,7 +185,9 @@ def test_a_script_that_runs_when_it_is_imported_is_told(tmp_path: Path) -> None:
         timeout=60,
         check=False,
     )
-    assert "if __name__ == '__main__':" in ended.stderr
+    assert ended.returncode == 1
+    assert ended.stderr.count("if __name__ == '__main__':") == 1
+    assert "restart" not in ended.stderr
 
 
 def descriptors() -> int:

@@ -630,7 +630,18 @@ def _unnamed(component: Any) -> tuple[str, str, str] | None:
         return "placement", f"its class cannot be imported as {module}:{path}", advice
     if module == SCRIPT and not recipe.get("file"):
         return "placement", "its class is in no file", "put it into a module"
+    if module == SCRIPT and not _is_guarded():
+        advice = "put what runs under if __name__ == '__main__':"
+        return "placement", "a child imports the script, and would run it", advice
     return None
+
+
+def _is_guarded() -> bool:
+    """Whether the script tells if it is run, as far as its text is there."""
+    try:
+        return SCRIPT in inspect.getsource(sys.modules[SCRIPT])
+    except (OSError, TypeError):
+        return True
 
 
 def _unsendable(component: Any) -> tuple[str, str, str] | None:
