@@ -421,6 +421,7 @@ class Talker(esair.Behavior):
     async def run(self) -> None:
         print("it prints")  # noqa: T201
         logging.getLogger("rover.parts").warning("it logs %d", 3)
+        print(f"it was called with {sys.argv!r}", flush=True)  # noqa: T201
         warnings.warn("it warns", stacklevel=1)
         breakpoint()
 

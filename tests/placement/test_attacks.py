@@ -269,6 +269,7 @@ async def test_what_it_writes_appears_under_its_name(
     for words in ("talker: it prints", "it logs 3", "it warns"):
         assert words in text
     assert "rover.parts" in caplog.text  # the logger that it has used
+    assert f"talker: it was called with {sys.argv!r}" in text
     assert "--placement NAME=task" in str(robot.behaviors.query("talker").error)
 
 

@@ -369,7 +369,7 @@ class Child(Exchange):
     # The component.
 
     def _settle(self, given: dict[str, Any]) -> None:
-        sys.path[:] = given["path"]
+        sys.path[:], sys.argv[:] = given["path"], given["argv"]
         self.name = given["name"]
         self._of_threads = Portal(self.name, self.owner)
         self.owner.stream = Stream(given["stream"])

@@ -166,6 +166,7 @@ class Seat:
         stream, is_virtual = self._owner.stream, turn_of(process.loop).virtual
         settled = {
             "path": list(sys.path),
+            "argv": list(sys.argv),
             "name": self.name,
             "stream": None if stream is None else stream.seed,
             "stall": self.placement.stall if is_virtual else None,
