@@ -266,7 +266,7 @@ async def test_what_it_writes_appears_under_its_name(
     async with esair.Robot(behaviors=[Talker()]) as robot:
         await until(lambda: robot.behaviors.query("talker").error is not None)
     text = caplog.text
-    for words in ("talker: it prints", "it logs 3", "it warns"):
+    for words in ("talker: it prints", "talker: it logs 3", "it warns"):
         assert words in text
     assert "rover.parts" in caplog.text  # the logger that it has used
     assert f"talker: it was called with {sys.argv!r}" in text

@@ -537,15 +537,15 @@ class Words:
         self._keep(b"\n".join(lines[-KEPT:])[-KEPT:].decode(errors="replace"))
 
     def _say(self, line: str) -> None:
-        level, name, text = logging.INFO, "esair", f"{self._name}: {line}"
+        level, name = logging.INFO, "esair"
         is_record = line.startswith(RECORD)
         if is_record:
             with contextlib.suppress(Exception):  # whatever such a line leads to
                 record = json.loads(line[1:])
                 level, name = int(record["level"]), self._logger(record["name"])
                 line = str(record["text"])
-                text = f"{self._name}: {line}" if name == "esair" else line
         self._keep(line)
+        text = f"{self._name}: {line}"
         logger = logging.getLogger(name)
         if not is_record and not logger.isEnabledFor(level):
             with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
