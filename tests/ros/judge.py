@@ -45,7 +45,8 @@ class Judge:
 
         def send():
             publisher.publish(message)
-            tell("sent", topic, time.monotonic())
+            if rate <= 200.0:  # who floods would flood its reader, too
+                tell("sent", topic, time.monotonic())
 
         self.kept.append(self.node.create_timer(1.0 / rate, send))
 
