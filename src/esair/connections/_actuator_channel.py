@@ -29,6 +29,7 @@ from esair.exceptions import (
     AccessDeniedError,
     EsairError,
     HaltedError,
+    NoTurnError,
     ResourceRemovedError,
     StoppingError,
     describe,
@@ -172,7 +173,7 @@ class ActuatorChannel(Device):
         if self.state is ResourceState.READY:
             channel.up()
             if not wire.told.error:
-                wire.took(wire.told.command, None)
+                wire.took(wire.told.place, None)
         elif self.error is not None:
             channel.down(self.state, self.error)
 
@@ -358,13 +359,18 @@ class ActuatorChannel(Device):
             if numbers != self.gate.numbers or not registration.usable:
                 return self._fenced(registration, numbers[0])
             if expires is not None and (late := self._lateness(expires)) > 0.0:
+                self.make_safe()  # what it took over is nobody's any more
                 return self._expired(registration, late)
         if not self._dead_man.armed:
             self._dead_man.arm()
         guard: Guard | None = None
         if wire.blocks:
             guard = self.gate.ticket(registration, expires, numbers)
-        sent = wire.send(command, registration.behavior, guard)
+        try:
+            sent = wire.send(command, registration.behavior, guard)
+        except NoTurnError:  # it has not left: what it took over is nobody's any more
+            self.make_safe()
+            raise
         if sent is not None or wire.applied is not None:
             return self._sent(sent, registration, command, asked, by)
         # Most drivers say nothing.
@@ -463,7 +469,7 @@ class ActuatorChannel(Device):
 
     def _ended(self, call: Call, end: End) -> None:
         """Apply the outcome of a write that has waited for the device."""
-        wire = self.wire
+        wire, is_over = self.wire, end.error is None
         if end.error is None:
             self.writes += 1
             if self.hold.writer is call.owner:
@@ -482,8 +488,12 @@ class ActuatorChannel(Device):
                 self._refuse(right, self._overtaken(right))
         elif call.cancelled:
             wire.unknown()
-        else:
-            wire.failed(end.error, "write")
+        elif type(wire.failed(end.error, "write")) is not NoTurnError:
+            is_over = True  # the device was asked, and is looked after
+        if not (is_over or self.safe.state or self.safe.overtaken(call)):
+            if isinstance(end.error, CallRefused):
+                wire.told.command = wire.told.base
+            self.make_safe()  # what it took over is nobody's any more
         if call.ended is not None:  # else its driver still has the device
             self._lane_free(call)
 

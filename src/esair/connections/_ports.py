@@ -363,7 +363,8 @@ class ActuatorPort(Port[T]):
                 in seconds; the actuator's command timeout unless given. Each write
                 renews it.
             expires: A moment on the loop's clock (seconds): a command that still waits
-                for its turn then is refused, and never sent.
+                for its turn then is refused, and never sent; a motion that it has taken
+                over by then ends.
 
         Returns:
             What was really sent; or a refusal, false in a condition, that says who

@@ -70,7 +70,9 @@ class Told:
     is_safe: bool = False  # whether it is the safe command, sent as such
     error: str = "it was never told anything"  # why not; empty if its driver took it
     at: float = 0.0  # when it was told what nobody wrote: safe, or less by a guard
-    base: Any = None  # where it is, as far as it has said, while it was told to stay
+    base: Any = None
+    """Where it is, as far as it has said, while it was told to stay, or until a command
+    has left that waits for the device."""
     is_undone: bool = False  # whether a motion has ended since that may undo it
 
     @property
@@ -156,6 +158,7 @@ class Wire:
             EsairError: What the driver has raised, as its caller gets it.
         """
         told = self.told
+        before = told.command
         # A copy of its own: who has the answer may change what is in it.
         told.command = copy.deepcopy(command) if self.copies else command
         told.is_safe = False
@@ -170,6 +173,8 @@ class Wire:
         if sent is not None and type(sent) is Call:
             self.lane = sent
             told.error = NOT_YET
+            if before is not HOLD:
+                told.base = before
             return sent
         told.error = ""  # done: most drivers need not wait
         return sent
@@ -236,7 +241,7 @@ class Wire:
             return
         if answer is not None:
             command = None if self.unsound(command, answer) else answer
-        elif command is HOLD:
+        elif command is HOLD and self.applied.newest is not None:  # else nobody knows
             command = self.told.base
         self.applied.took(copy.deepcopy(command))  # who has the answer may change it
 
