@@ -882,3 +882,23 @@ async def test_the_users_switch_wins_over_one_that_follows() -> None:
         await asyncio.sleep(5.0)
         assert robot.behaviors.mode == "safe"
         assert robot.behaviors.query("home").state is BehaviorState.RESTING
+
+
+@pytest.mark.promise("MODE-3", "TURN-4")
+@pytest.mark.parametrize("fails", [False, True])
+async def test_modes_that_end_at_once_follow_each_other_in_good_time(
+    fails: bool,
+) -> None:
+    """A circle of them takes neither the loop nor the time of the others."""
+    works = Works("works", 0.0, fails=fails)
+    modes = {
+        "one": Mode(["works"], then="two", on_failure="two"),
+        "two": Mode(["works"], then="one", on_failure="one"),
+    }
+    robot = esair.Robot(behaviors=[works], modes=modes, mode="one")
+    heard: list[Event] = []
+    robot.journal.listen(heard.append, kinds=(Kind.MODE,))
+    async with robot:
+        await asyncio.sleep(2.6)
+    assert [each.component for each in heard[:4]] == ["two", "one", "two", "one"]
+    assert len(heard) <= 12

@@ -12,6 +12,7 @@ import asyncio
 import contextvars
 import itertools
 import logging
+import math
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -31,6 +32,7 @@ from esair.exceptions import (
 )
 from esair.journal import Event, Journal, Kind
 from esair.loop import (
+    REACHED,
     ProcessWatch,
     current_owner,
     fail,
@@ -50,6 +52,9 @@ from esair.supervisors._resource_deployment import ResourceDeployment
 from esair.values import printable
 
 _log = logging.getLogger("esair")
+
+ROUND = 0.5
+"""How long after it was gone to a mode follows again at the earliest, in seconds."""
 
 
 class Turns:
@@ -72,6 +77,9 @@ class Turns:
         self.leave: asyncio.Future[None] | None = None
         """There while those end whose turn is over, until what they moved is safe."""
         self._following: asyncio.Task[bool] | None = None
+        self._begun: dict[str, float] = {}  # when each mode was gone to last
+        self._round: asyncio.TimerHandle | None = None
+        """There while a mode would follow again too soon."""
 
     def rests(self, name: str) -> bool:
         """Tell whether a behavior rests in the mode that the robot is in."""
@@ -148,7 +156,7 @@ class Turns:
         """Whether a switch is under way."""
         under_way = self._following, self._under_way
         waits = any(each is not None and not each.done() for each in under_way)
-        return waits or self._coming is not None
+        return waits or self._coming is not None or self._round is not None
 
     @property
     def waits(self) -> bool:
@@ -223,6 +231,7 @@ class Turns:
         entering = [each for each in members if self._enters(each, mode)]
         here = [each for each in reversed(members) if not self.rests(each.name)]
         before, self.mode = self.mode, mode
+        self._begun[mode] = asyncio.get_running_loop().time()
         leaving = [each for each in here if self.rests(each.name)]
         for member in entering:
             member.sight.accept()
@@ -249,10 +258,23 @@ class Turns:
             wake(member.gate)
 
     def _follow(self, mode: str, reason: str) -> None:
-        self._following = spawn(
-            asyncio.get_running_loop(), self._go(mode, reason), name=f"mode {mode}"
-        )
+        loop = asyncio.get_running_loop()
+        early = self._begun.get(mode, -math.inf) + ROUND - loop.time()
+        if early > REACHED:  # modes that end at once, in a circle, would take the loop
+            self._round = loop.call_later(early, self._round_over)
+            return
+        self._following = spawn(loop, self._go(mode, reason), name=f"mode {mode}")
         self._following.add_done_callback(self._look_again)
+
+    def _round_over(self) -> None:
+        self.close()
+        self._crew.ended()
+
+    def close(self) -> None:
+        """Wait for no moment any more when a mode may follow again."""
+        if self._round is not None:
+            self._round.cancel()
+            self._round = None
 
     def _look_again(self, went: asyncio.Task[bool]) -> None:
         """Those of the mode that was gone to may have ended before that was over."""
@@ -579,6 +601,7 @@ class BehaviorDeployment:
         """End every behavior, the last one first; all share one grace period."""
         until = asyncio.get_running_loop().time() + self.grace + MARGIN
         await self.commands.close()
+        self.turns.close()
         self.mediator.close()
         # What the user is taking away goes its own way.
         leaving = set(self.ending)
