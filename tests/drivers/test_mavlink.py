@@ -160,6 +160,19 @@ async def test_sticks_that_are_not_held_let_go() -> None:
         assert rover.heard["HEARTBEAT"] is not before
 
 
+async def test_a_line_that_stands_ends_no_heartbeats() -> None:
+    """They go on with it: else the vehicle would act as if its station had gone."""
+    line = FakeSerial(framing="mavlink", xonxoff=True)
+    vehicle = FakeVehicle(line)
+    async with opened(RcOverride(**STICKS, bus=line)):
+        line.xoff()
+        await asyncio.sleep(3.0)
+        line.xon()
+        vehicle.heard.clear()
+        await asyncio.sleep(3.0)
+        assert "HEARTBEAT" in vehicle.heard
+
+
 def test_mistakes_are_told() -> None:
     """A message, a field and a stick that are none."""
     line = FakeSerial(framing="mavlink")

@@ -110,6 +110,42 @@ async def test_an_output_comes_back_by_itself() -> None:
     assert unit.controlled == {}
 
 
+async def test_a_full_bus_ends_no_session() -> None:
+    """A sign of life that finds no room is left out; the next one is said."""
+    can = FakeCan()
+    unit = FakeUnit(can, VALUES)
+    fan = UdsActuator(identifier=0x0123, layout="B", scale=0.01, safe=0.0, bus=can)
+    async with opened(fan):
+        await fan.write(0.25)
+        can.full(10_000)
+        await asyncio.sleep(2.5)
+        can.full(0)
+        await asyncio.sleep(20.0)
+        assert unit.controlled == {0x0123: bytes([25])}
+        assert await fan.is_set_up()
+
+
+async def test_a_sign_of_life_cuts_no_message() -> None:
+    """Between the frames of one message it would be a new one, and end that."""
+    can = FakeCan()
+    link = IsoTp.of(can, 0x7E0, 0x7E8)
+    await can.open()
+    link.join(can, "me")
+    asked = asyncio.ensure_future(link.ask(can, bytes(20), timeout=0.5))
+    await asyncio.sleep(0.1)
+    telling = asyncio.ensure_future(link.tell(can, b"\x3e\x80"))
+    await asyncio.sleep(0.1)
+    can.feed(0x7E8, b"\x30\0\0")
+    await asyncio.sleep(0.1)
+    can.feed(0x7E8, b"\x01\x50")
+    await asyncio.gather(asked, telling)
+    await asyncio.sleep(0.0)
+
+    assert [frame.data[0] for frame in can.sent] == [0x10, 0x21, 0x22, 0x02]
+    await link.leave("me")
+    await can.close()
+
+
 async def test_who_needs_longer_is_waited_for() -> None:
     """Response pending is neither an answer nor silence, but has its end."""
     can = FakeCan()

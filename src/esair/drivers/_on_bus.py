@@ -12,7 +12,13 @@ from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import Any, TypeVar
 
 from esair.buses import Bus, Inbox
-from esair.exceptions import ConfigError, DeviceLostError
+from esair.exceptions import (
+    BusyError,
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+)
 from esair.framing import FRAMINGS, Framing
 from esair.loop import spawn
 from esair.resources import Resource
@@ -50,6 +56,11 @@ class SharedTask:
         if not self._users:
             task, self._task = self._task, None
             await ended(task)
+
+
+def room_comes() -> contextlib.AbstractContextManager[None]:
+    """Let what repeats by itself go on after it found no room: the next one comes soon."""
+    return contextlib.suppress(BusyError, DeviceFaultError, DriverStuckError)
 
 
 async def ended(task: asyncio.Task[Any] | None) -> None:

@@ -47,7 +47,14 @@ from canopen.profiles.p402 import State402
 from canopen.sdo.exceptions import SdoAbortedError
 
 from esair.buses import CanBus, Frame, Inbox
-from esair.drivers._on_bus import SharedTask, ended, heard, shared, watching
+from esair.drivers._on_bus import (
+    SharedTask,
+    ended,
+    heard,
+    room_comes,
+    shared,
+    watching,
+)
 from esair.drivers.canopen import read_eds
 from esair.drivers.canopen._node import Emergency, NodeSettings, OnNode, sdo_frames
 from esair.exceptions import (
@@ -55,7 +62,6 @@ from esair.exceptions import (
     ConfigError,
     DeviceFaultError,
     DeviceLostError,
-    DriverStuckError,
 )
 from esair.resources import Actuator, ActuatorSettings, Resource, Sensor, SensorSettings
 from esair.values import check_choice, check_seconds
@@ -197,11 +203,10 @@ class Sync(SharedTask):
         due = loop.time()
         while True:
             try:
-                await self._bus.send(SYNC, b"", replaces=True, timeout=self.period)
+                with room_comes():
+                    await self._bus.send(SYNC, b"", replaces=True, timeout=self.period)
             except DeviceLostError:
                 return
-            except (BusyError, DeviceFaultError, DriverStuckError):
-                pass  # the next one comes soon; the bus counts
             due = max(due + self.period, loop.time())
             await asyncio.sleep(due - loop.time())
 

@@ -41,6 +41,7 @@ from esair.drivers._on_bus import (
     check_bus,
     ended,
     heard,
+    room_comes,
     shared,
     watching,
 )
@@ -214,17 +215,17 @@ class _Beats(SharedTask):
 
     async def run(self, bus: SerialBus, talk: _Talk) -> None:
         while True:
-            await bus.send(
-                talk.payload(
-                    "HEARTBEAT",
-                    type=6,
-                    autopilot=NO_AUTOPILOT,
-                    base_mode=0,
-                    custom_mode=0,
-                    system_status=4,
-                    mavlink_version=3,
-                )
+            beat = talk.payload(
+                "HEARTBEAT",
+                type=6,
+                autopilot=NO_AUTOPILOT,
+                base_mode=0,
+                custom_mode=0,
+                system_status=4,
+                mavlink_version=3,
             )
+            with room_comes():
+                await bus.send(beat)
             await asyncio.sleep(BEAT)
 
 

@@ -34,7 +34,7 @@ from collections.abc import Callable
 from typing import Any, Final, Literal, Required, TypedDict, Unpack
 
 from esair.buses import CanBus, Exchanges, Frame, Inbox
-from esair.drivers._on_bus import SharedTask, check_bus, shared
+from esair.drivers._on_bus import SharedTask, check_bus, room_comes, shared
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError, EsairError
 from esair.loading import of_extra
 from esair.resources import (
@@ -82,7 +82,8 @@ class _Present(SharedTask):
         )
         while True:
             await asyncio.sleep(PRESENT_PERIOD)
-            await link.tell(bus, told.get_payload())
+            with room_comes():
+                await link.tell(bus, told.get_payload())
 
 
 class _OnUnit(Resource):
@@ -399,7 +400,10 @@ class IsoTp(SharedTask):
         """Send a message that fits into a frame, and is not answered."""
         send, _, extended = self._ids
         data = bytes((len(payload), *payload)).ljust(8, b"\0")
-        await bus.send(send, data, extended=extended)
+        # In a turn of its own: amid a message that was cut it would end that.
+        turn = self.exchanges.request(timeout=PRESENT_PERIOD, answers=lambda _: False)
+        async with turn:
+            await bus.send(send, data, extended=extended)
 
     async def _hear(self, bus: CanBus, inbox: Inbox[Frame]) -> None:
         _, receive, extended = self._ids
