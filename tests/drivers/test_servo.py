@@ -42,6 +42,7 @@ from esair.drivers.servo import (
 from esair.drivers.servo._bus import Packets
 from esair.drivers.servo.fake import (
     PING,
+    READ,
     SYNC_READ,
     SYNC_WRITE,
     WRITE,
@@ -366,6 +367,32 @@ async def test_a_damaged_answer_is_a_fault(bus: ServoBus, fakes: FakeServos) -> 
 
     assert bus.stats.bad_frames == 1
     assert await bus.read(1, 132, 4) == CENTER
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.fault("D26")
+@pytest.mark.parametrize("size", [0, 3, 20])
+async def test_an_answer_of_another_length_is_a_fault(size: int) -> None:
+    """It is no position, and costs the others on the line nothing."""
+
+    class Strange(FakeServo):
+        def obey(self, instruction: int, parameters: bytes) -> bytes:
+            told = super().obey(instruction, parameters)
+            return told[:1] + bytes(size) if instruction == READ else told
+
+    bus = ServoBus(name="arm", wire=FakeServos({1: Strange(), 2: FakeServo()}))
+    await bus.open()
+    await bus.set_up(1)
+    await bus.set_up(2)
+
+    for asked in ([1], [1, 2]):
+        found: list[Any] = await asyncio.gather(
+            *(bus.snapshot(servo) for servo in asked), return_exceptions=True
+        )
+        assert isinstance(found[0], DeviceFaultError)
+        assert f"servo 1, read 224: it has told {size} bytes" in str(found[0])
+        assert [each.position for each in found[1:]] == [CENTER] * (len(asked) - 1)
+    await bus.close()
 
 
 @pytest.mark.virtual_clock

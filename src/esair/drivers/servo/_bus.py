@@ -477,6 +477,9 @@ class ServoBus(SerialBus):
     async def _read(self, servo: int, address: int, size: int) -> int:
         request = bytes([READ]) + self._at(address, size)
         told = await self._request(servo, f"read {address}", request)
+        if len(told) != size:
+            text = f"servo {servo}, read {address}: it has told {len(told)} bytes"
+            raise self.failed(DeviceFaultError(self.name, f"{text} instead of {size}"))
         return int.from_bytes(told, "little")
 
     async def _read_all(self, address: int, size: int, servos: tuple[int, ...]) -> Made:
@@ -487,7 +490,7 @@ class ServoBus(SerialBus):
         for servo in servos:
             error, data = told.get(servo, (-1, b""))
             found[servo] = int.from_bytes(data, "little")
-            if error:  # asked again alone: it tells why, and for the others
+            if error or len(data) != size:  # alone it tells why, and for the others
                 try:
                     found[servo] = await self._read(servo, address, size)
                 except EsairError as alone:
@@ -535,6 +538,7 @@ class ServoBus(SerialBus):
         """Make an exchange with servos in its turn; return the error and data of each."""
         self._connected()
         told: dict[int, tuple[int, bytes]] = {}
+        begin = 1 + len(self._status)
         # Who has not answered is not asked before its answer cannot come any more.
         exchange = self._exchanges.request(*servos, timeout=self.write_timeout)
         exchange.name = what
@@ -551,9 +555,8 @@ class ServoBus(SerialBus):
                     except TimeoutError:
                         break
                     servo, status = message[0], message[1:].startswith(self._status)
-                    if servo in servos and status:
-                        error, *data = message[1 + len(self._status) :]
-                        told[servo] = error, bytes(data)
+                    if servo in servos and status and len(message) > begin:
+                        told[servo] = message[begin], message[begin + 1 :]
             if not answers or len(told) == len(servos):
                 exchange.end()
         return told
