@@ -642,7 +642,7 @@ async def test_a_message_of_j1939_comes_in_packets(
 async def test_a_message_that_is_not_whole_is_none(
     fake_can: Any, tmp_path: Path
 ) -> None:
-    """A packet is missing, or late; it was ended; another one has begun."""
+    """A packet is missing, late or none; it was ended; another one has begun."""
     (database := tmp_path / "engine.dbc").write_text(J1939)
     wire = fake_can("drive")
     device = DbcSensor(
@@ -660,6 +660,7 @@ async def test_a_message_that_is_not_whole_is_none(
         head, one, two = packets(0x11, hours(1.0))
         abort = Frame(head.id, bytes([255, 1, 255, 255, 255, 0xE5, 0xFE, 0]), True)
         feed(head, two)
+        feed(head, Frame(one.id, b"\0" + one.data[1:], True), one, two)
         feed(head, one, abort, two)
         feed(head, one)
         await asyncio.sleep(0.8)

@@ -156,8 +156,9 @@ class Reassembly:
         begun = self._begun.get(ends)
         if place != PACKETS or begun is None:
             return None
-        if frame.time - begun.heard > GAP or data[0] > begun.packets + 1:
-            del self._begun[ends]  # a packet is missing, or late
+        is_next = 0 < data[0] <= begun.packets + 1  # or once more
+        if frame.time - begun.heard > GAP or not is_next:
+            del self._begun[ends]  # a packet is missing, late, or none
             return None
         begun.heard = frame.time
         begun.packets = data[0]
