@@ -334,6 +334,26 @@ class Haul(esair.Behavior):
         await asyncio.sleep(1e6)
 
 
+@pytest.mark.promise("RES-4")
+@pytest.mark.parametrize("after", [3, 6, 10, 16, 26])
+async def test_a_drive_that_restarts_while_it_is_set_up_is_set_up_again(
+    wire: FakeCan, far: FakeDrive, after: int
+) -> None:
+    """Its boot-up message says so: half of what it was told would be gone."""
+    requests = iter(range(1, 1000))
+
+    def heard(frame: Any) -> None:
+        if frame.id == 0x605 and next(requests) == after:
+            far.power_cycle()
+
+    wire.on_send(heard)
+    winch = made(Drive, wire, name="winch", factor=0.001)
+    async with esair.Robot(resources=[winch], behaviors=[Haul()]) as robot:
+        await asyncio.sleep(0.6)
+        assert robot.resources.query("winch").losses == 1
+        assert far.velocity == 500
+
+
 @pytest.mark.promise("BUS-4", "AC-2", "CALL-2")
 @pytest.mark.parametrize("sync", [None, 0.02])
 @pytest.mark.parametrize("seconds", [0.03, 0.13, 1.3])

@@ -245,10 +245,13 @@ class Node:
                     device, self._begin, device.dictionary, device.heartbeat
                 )
                 await self.call(device, self._start, tuple(self.users))
+                if not self.usable:
+                    raise DeviceLostError(
+                        device.name, f"node {self.number} has started anew meanwhile"
+                    )
             except BaseException:
                 self.usable = False
                 raise
-            self.remote.nmt.add_heartbeat_callback(self._beat)
             self._patience = HEARTBEATS_MISSED * period
             self._is_open = True
             self._arm_watch()
@@ -295,6 +298,7 @@ class Node:
         """Meet the node, in the thread; returns its heartbeat period in seconds."""
         sdo = self.remote.sdo
         sdo.upload(DEVICE_TYPE, 0)
+        self.remote.nmt.add_heartbeat_callback(self._beat)
         told = dictionary.device_information
         for subindex, what, wanted in (
             (1, "vendor", told.vendor_number),
@@ -356,7 +360,7 @@ class Node:
         if state == _BOOT_UP:
             self.exchanges.clear()
             self._lost("it has started anew")
-        elif state != _OPERATIONAL:
+        elif state != _OPERATIONAL and self._is_open:
             self._lost(f"it does not run any more: its NMT state is {state}")
         else:
             self._arm_watch()
