@@ -180,3 +180,12 @@ class Dies(esair.Behavior):
         async for count in self.counts:
             async with count:
                 os._exit(3)
+
+
+class Complains(esair.Behavior):
+    """Fails with all that it has read."""
+
+    restart = esair.Restart(max=0)
+
+    async def run(self) -> None:
+        raise ValueError("x" * 3_000_000)

@@ -15,6 +15,7 @@ from tests.placement.pitfalls import (
     Answers,
     Asks,
     Begins,
+    Complains,
     Count,
     Dies,
     Drive,
@@ -280,3 +281,12 @@ async def test_it_runs():
         assert robot.behaviors.query("eyes").restarts == 0
         assert robot.behaviors.query("eyes").state is esair.BehaviorState.RUNNING
 """
+
+
+@pytest.mark.promise("PLC-5", "ROB-3")
+async def test_an_error_that_is_too_large_to_cross_is_a_crash_all_the_same() -> None:
+    """What it says is cut; the behavior is not taken for one that runs on."""
+    async with esair.Robot(behaviors=[placed(Complains(), "process")]) as robot:
+        await until(lambda: state(robot, "complains") is BehaviorState.FAILED)
+        error = robot.behaviors.query("complains").error
+        assert str(error).startswith("ValueError: xxx")

@@ -43,7 +43,7 @@ MESSAGE: Final = LIMIT
 """How many bytes all values of one message may have: its reader works so long at once."""
 
 NOTE: Final = 4000
-"""How many characters of a traceback cross with an error."""
+"""How many characters cross of a traceback, and of what an error says that is too large."""
 
 RECORD: Final = "\x1e"
 """What a line begins with that is a record of the log."""
@@ -333,8 +333,9 @@ class Exchange:
         where = "" if is_plain else told_traceback(error)[-NOTE:]
         try:
             return encode((wanted, where), self.kinds)
-        except CodecError:  # what it holds is no plain data
-            return encode((RuntimeError(describe(error)), where), self.kinds)
+        except CodecError:  # what it holds is no plain data, or too much
+            told = RuntimeError(describe(error)[:NOTE])
+            return encode((told, where), self.kinds)
 
     def unpack_error(self, data: bytes) -> BaseException:
         """Return an error; where it was raised is a note of it."""
