@@ -1,8 +1,10 @@
-"""A module that no path leads to: the robot's process has found it by its file."""
+"""A module that no path leads to, by its file; a script of a package, by its name."""
 
 from __future__ import annotations
 
 import asyncio
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -46,3 +48,44 @@ async def test_a_component_of_a_file_lives_in_a_process(
         (wheels,) = robot.plan.resources
         assert 0.5 in wheels.commands  # type: ignore[attr-defined]
         assert robot.behaviors.query("drive").restarts == 0
+
+
+PROGRAM = """
+import esair
+from . import SPEED
+
+
+class Drive(esair.Behavior):
+    placement = "process"
+
+    async def run(self):
+        await self.stop_robot(f"at {SPEED}")
+
+
+if __name__ == "__main__":
+    robot = esair.Robot(behaviors=[Drive()])
+    esair.run(robot, duration=30.0)
+    print(robot.stopped.reason)
+"""
+
+
+@pytest.mark.promise("PLC-1")
+@pytest.mark.parametrize("file", ["__main__.py", "rover.py"])
+def test_a_program_of_a_package_imports_what_is_beside_it(
+    file: str, tmp_path: Path
+) -> None:
+    """``python -m package``: a child imports it as a part of that, too."""
+    package = tmp_path / "of_a_package"
+    package.mkdir()
+    (package / "__init__.py").write_text("SPEED = 0.5\n")
+    (package / file).write_text(PROGRAM)
+    name = package.name if file == "__main__.py" else f"{package.name}.rover"
+    ended = subprocess.run(
+        [sys.executable, "-m", name],
+        capture_output=True,
+        cwd=tmp_path,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert "at 0.5" in ended.stdout, ended.stderr

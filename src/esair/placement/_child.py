@@ -482,7 +482,7 @@ def find(recipe: dict[str, Any]) -> Any:
     """Return the class that a recipe names, in the child."""
     module = recipe["module"]
     if module == SCRIPT:
-        found: Any = _script(recipe["file"])
+        found: Any = _script(recipe["file"], recipe["within"])
     else:
         try:
             __import__(module)
@@ -513,7 +513,7 @@ def _load(name: str, path: str) -> None:
     spec.loader.exec_module(module)
 
 
-def _script(path: str) -> ModuleType:
+def _script(path: str, within: str) -> ModuleType:
     """Import the script that the robot was started with, but not as the one that runs."""
     import runpy
 
@@ -522,7 +522,11 @@ def _script(path: str) -> ModuleType:
         known = ModuleType(SCRIPT_OF_CHILD)
         sys.modules[SCRIPT] = sys.modules[SCRIPT_OF_CHILD] = known
         try:
-            vars(known).update(runpy.run_path(path, run_name=SCRIPT_OF_CHILD))
+            if within == SCRIPT:
+                found = runpy.run_path(path, run_name=SCRIPT_OF_CHILD)
+            else:  # its relative imports are those of its package
+                found = runpy.run_module(within, run_name=SCRIPT_OF_CHILD)
+            vars(known).update(found)
         except (RuntimeError, ConfigError) as error:  # of the loop that runs here
             told = "a child imports it: put what runs under if __name__ == '__main__':"
             raise ConfigError(path, "", told) from error

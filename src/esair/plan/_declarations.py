@@ -584,6 +584,8 @@ def recipe_of(component: Any) -> dict[str, Any]:
         "name": component.name,
         # It may have come from a file that no path leads to.
         "file": getattr(module, "__file__", None),
+        # What the script is of a package: python -m package.module
+        "within": getattr(getattr(module, "__spec__", None), "name", SCRIPT),
     }
 
 
