@@ -124,6 +124,17 @@ def check_duration(component: str, field: str, value: object) -> float:
     raise BadValueError(component, field, f"expected seconds > 0, not {value!r:.80}")
 
 
+def check_moment(component: str, field: str, value: object) -> None:
+    """Pass with a moment on the loop's clock: a number of seconds, also infinite.
+
+    Raises:
+        BadValueError: It is something else.
+    """
+    if type(value) is bool or not isinstance(value, _REAL) or value != value:
+        told = f"expected a moment in seconds, not {value!r:.80}"
+        raise BadValueError(component, field, told)
+
+
 def value_type(cls: type, base: type) -> Any:
     """Return ``T`` of ``class X(Sensor[T])``; `typing.Any` if it does not say."""
     for klass in cls.__mro__:

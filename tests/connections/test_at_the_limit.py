@@ -42,6 +42,26 @@ async def test_a_command_leaves_until_the_moment_when_it_expires(
         assert (0.5 in wheels.commands) is leaves
 
 
+@pytest.mark.promise("AC-1", "AC-3")
+@pytest.mark.parametrize("expires", [float("nan"), "12:00", True, [1.0], 1j])
+@pytest.mark.parametrize("seconds", [0.0, 0.05])
+async def test_a_moment_that_is_none_is_a_mistake_of_its_field(
+    expires: Any, seconds: float, user_of: Any
+) -> None:
+    """Nothing was changed then: what stands does, and who holds it."""
+    wheels, user = FakeActuator("wheels", safe=0.0), user_of("user", wheels=WRITES)
+    high = user_of("high", wheels=esair.writes(float, priority=9))
+    async with esair.Robot(resources=[wheels], behaviors=[user, high]):
+        wheels.slow(seconds)
+        assert await user.wheels.write(0.5)
+        with pytest.raises(
+            esair.BadValueError, match="wheels: expires: expected a moment"
+        ):
+            await high.wheels.write(1.0, expires=expires)
+        assert user.wheels.why().holder == "user"
+        assert wheels.commands == [0.0, 0.5]
+
+
 @pytest.mark.promise("AC-3", "RS-6")
 @pytest.mark.parametrize("left", [-HAIR, 0.0, REACHED / 2, 2 * REACHED])
 async def test_a_hold_begins_anew_when_it_was_over(left: float, user_of: Any) -> None:

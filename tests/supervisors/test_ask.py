@@ -240,13 +240,15 @@ async def test_a_type_that_nobody_takes_is_refused_at_once() -> None:
 @pytest.mark.promise("BS-10")
 @pytest.mark.parametrize("timeout", [0, -1.0, "1", True, float("nan")])
 async def test_nonsense_is_refused(timeout: Any) -> None:
-    """A timeout is seconds or None; a request is a Request."""
+    """A timeout is seconds or None; a request is a Request; progress goes to a function."""
     a = Idle(name="a")
     async with esair.Robot(behaviors=[a, Docking()]) as robot:
         with pytest.raises(esair.BadValueError, match="timeout"):
             await a.ask("docking", Dock(1), timeout=timeout)
         with pytest.raises(esair.BadValueError, match=r"esair\.Request"):
             await a.ask("docking", 17)  # type: ignore[arg-type]
+        with pytest.raises(esair.BadValueError, match="progress: expected a function"):
+            await a.ask("docking", Dock(1), progress="tell me")  # type: ignore[arg-type]
         assert robot._behaviors.mediator.pending == 0
 
 

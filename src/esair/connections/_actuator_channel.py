@@ -38,6 +38,7 @@ from esair.journal import Kind
 from esair.loop import REACHED, CallRefused, ask_outside, clock_beside
 from esair.messages import Answer, Refused, ResourceState, Why, Written
 from esair.resources import Actuator
+from esair.values import check_moment
 
 if TYPE_CHECKING:
     from esair.connections._sensor_channel import AppliedChannel
@@ -389,6 +390,7 @@ class ActuatorChannel(Device):
 
     def _lateness(self, expires: float) -> float:
         """Look at the clock itself: the process may have been stopped amid this turn."""
+        check_moment(self.name, "expires", expires)
         clock = clock_beside(self.loop)
         return ask_outside((self.name, "expires"), clock) - expires
 

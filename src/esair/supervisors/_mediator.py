@@ -571,6 +571,9 @@ class Mediator:
         if not isinstance(request, Asked):
             told = "expected an instance of a class derived from esair.Request"
             raise BadValueError(receiver, "request", f"{told}, not {request!r:.80}")
+        if not (progress is None or callable(progress)):
+            told = f"expected a function of what is told, not {progress!r:.80}"
+            raise BadValueError(receiver, "progress", told)
         member = self._check(receiver, "timeout", timeout)
         queue = self._queue(member, request)
         if member.state is BehaviorState.FINISHED:
