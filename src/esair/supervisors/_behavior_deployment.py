@@ -78,7 +78,7 @@ class Turns:
         """There while those end whose turn is over, until what they moved is safe."""
         self._following: asyncio.Task[bool] | None = None
         self._begun: dict[str, float] = {}  # when each mode was gone to last
-        self._round: asyncio.TimerHandle | None = None
+        self.round: asyncio.TimerHandle | None = None
         """There while a mode would follow again too soon."""
 
     def rests(self, name: str) -> bool:
@@ -156,7 +156,7 @@ class Turns:
         """Whether a switch is under way."""
         under_way = self._following, self._under_way
         waits = any(each is not None and not each.done() for each in under_way)
-        return waits or self._coming is not None or self._round is not None
+        return waits or self._coming is not None or self.round is not None
 
     @property
     def waits(self) -> bool:
@@ -261,7 +261,7 @@ class Turns:
         loop = asyncio.get_running_loop()
         early = self._begun.get(mode, -math.inf) + ROUND - loop.time()
         if early > REACHED:  # modes that end at once, in a circle, would take the loop
-            self._round = loop.call_later(early, self._round_over)
+            self.round = loop.call_later(early, self._round_over)
             return
         self._following = spawn(loop, self._go(mode, reason), name=f"mode {mode}")
         self._following.add_done_callback(self._look_again)
@@ -272,9 +272,9 @@ class Turns:
 
     def close(self) -> None:
         """Wait for no moment any more when a mode may follow again."""
-        if self._round is not None:
-            self._round.cancel()
-            self._round = None
+        if self.round is not None:
+            self.round.cancel()
+            self.round = None
 
     def _look_again(self, went: asyncio.Task[bool]) -> None:
         """Those of the mode that was gone to may have ended before that was over."""
@@ -601,7 +601,8 @@ class BehaviorDeployment:
         """End every behavior, the last one first; all share one grace period."""
         until = asyncio.get_running_loop().time() + self.grace + MARGIN
         await self.commands.close()
-        self.turns.close()
+        if self.turns.round is not None:
+            self.turns.close()
         self.mediator.close()
         # What the user is taking away goes its own way.
         leaving = set(self.ending)
