@@ -596,6 +596,36 @@ async def test_only_an_action_with_a_condition_is_performed() -> None:
         with pytest.raises(esair.BadValueError, match="until: expected a function"):
             await user.perform(Follow(), until=True)  # type: ignore[call-overload]
 
+        async def later() -> bool:
+            return True
+
+        with pytest.raises(esair.BadValueError, match="a function without async"):
+            await user.perform(Follow(), until=later)  # type: ignore[arg-type]
+
+
+@pytest.mark.promise("BEH-3", "RS-8")
+async def test_a_reaction_that_runs_is_not_performed_as_well() -> None:
+    """Its ports are those of one place; when that has ended it can be performed again."""
+    sonar, wheels = devices()
+    follow, mine = Follow(), Follow(name="mine")
+    user = Idle(
+        reads={"sonar": esair.reads(float)}, writes={"wheels": esair.writes(float)}
+    )
+    told = "in a running robot already"
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user, follow]):
+        with pytest.raises(esair.ConfigError, match=told):
+            await user.perform(follow)
+        step = asyncio.ensure_future(user.perform(mine, timeout=0.5))
+        await asyncio.sleep(0.1)
+        with pytest.raises(esair.ConfigError, match=told):
+            await user.perform(mine)
+        assert not await step
+        with pytest.raises(esair.BadValueError, match="until"):
+            await user.perform(mine, until=lambda other: other)
+        assert not await user.perform(mine, timeout=0.5)
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[follow]):
+        await wheels.until(1.0)
+
 
 @pytest.mark.promise("ROB-1")
 async def test_methods_that_cannot_be_called_are_mistakes() -> None:

@@ -20,7 +20,7 @@ _OF_STD = ("rate", "restart", "essential", "budget", "overrun_limit", "placement
 class StepClock:
     """Knows the moments of a reaction's steps, and computes them when it asks."""
 
-    __slots__ = ("_began", "before", "now", "reaction")
+    __slots__ = ("_began", "before", "now", "reaction", "runs")
 
     def __init__(self, began: float, reaction: Any = None) -> None:
         self._began = began
@@ -28,6 +28,7 @@ class StepClock:
         """When the step began, in seconds of the loop's clock; None before the first,"""
         self.before: float | None = None  # and the one before it
         self.reaction: Any = reaction
+        self.runs: bool = True  # whether what has it is run
 
     def step(self, now: float) -> None:
         self.before = self.now

@@ -114,7 +114,6 @@ class ReactionRunner:
         self._hooks = hooks
         told = reaction.reaction if isinstance(reaction, MinimalReaction) else None
         self.clock: StepClock = StepClock(began, told)
-        reaction.take_clock(self.clock)
         loop = asyncio.get_running_loop()
         self.time: Callable[[], float] = clock_of(loop)
         budget = reaction.budget
@@ -141,6 +140,7 @@ class ReactionRunner:
         self.flaw: BadValueError | None = None
         """Why it is parked, if that is what it has decided itself."""
         self.stopped: bool = False
+        reaction.take_clock(self.clock)
 
     def counts(self) -> dict[str, int]:
         senses, outputs, timed = self.senses, self.outputs, self.step_time
@@ -215,7 +215,7 @@ class ReactionRunner:
         """Never step again, and follow nothing. What it wrote is the caller's to undo."""
         if self.stopped:
             return
-        self.stopped = True
+        self.stopped, self.clock.runs = True, False
         self.job.stop()
         if self._sampling is not None:
             self._sampling.stop()
@@ -486,10 +486,9 @@ def by_name(
     until: Callable[..., bool], reaction: Reaction
 ) -> Callable[[Mapping[str, Any]], bool]:
     """Adapt a condition that names the readings it wants."""
-    if not callable(until):
-        raise BadValueError(
-            reaction.name, "until", f"expected a function, not {until!r:.80}"
-        )
+    if not callable(until) or inspect.iscoroutinefunction(until):
+        told = f"expected a function without async, not {until!r:.80}"
+        raise BadValueError(reaction.name, "until", told)
     parameters = inspect.signature(until).parameters.values()
     if any(p.kind is p.VAR_KEYWORD for p in parameters):
         return lambda values: until(**values)

@@ -141,6 +141,8 @@ def in_use(component: object) -> bool:
     """Tell whether a component is deployed, in this robot or in another one."""
     if isinstance(component, Resource):
         return component._listener is not None  # noqa: SLF001 - set by a supervisor
+    if isinstance(component, Reaction):
+        return getattr(vars(component).get("_step_clock"), "runs", False)
     return isinstance(component, Behavior) and "_host" in vars(component)
 
 
