@@ -175,7 +175,7 @@ def test_a_script_that_runs_when_it_is_imported_is_refused(tmp_path: Path) -> No
         "class One(esair.Behavior):\n"
         "    placement = 'process'\n"
         "    async def run(self) -> None: pass\n"
-        "esair.run(esair.Robot(behaviors=[One()]), duration=5.0)\n",
+        "esair.run(esair.Robot(behaviors=[One()]), duration=5.0)  # in __main__\n",
         encoding="utf-8",
     )
     ended = subprocess.run(

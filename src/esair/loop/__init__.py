@@ -96,7 +96,6 @@ from esair.loop._threads import (
     now,
     portal,
     run_in_thread,
-    sleep_in_thread,
     waits_in_line,
 )
 from esair.loop._turn import GLANCE, SuspendWatch, TurnLoop, new_event_loop
@@ -185,7 +184,6 @@ __all__ = [
     "run_in_thread",
     "script_context",
     "settle",
-    "sleep_in_thread",
     "spawn",
     "speaks_for_nobody",
     "threads_that_keep_the_process",

@@ -36,7 +36,7 @@ from esair.loop._light_task import (
     settle,
     urgency,
 )
-from esair.loop._of_loop import clock_beside, clock_of, turn_of
+from esair.loop._of_loop import clock_beside, clock_of
 from esair.loop._ownership import Owner, spawn
 from esair.loop._scheduler import REACHED
 
@@ -92,16 +92,6 @@ def _settle(future: asyncio.Future[Any], inner: concurrent.futures.Future[Any]) 
         future.set_exception(error)
     else:
         future.set_result(inner.result())
-
-
-def sleep_in_thread(seconds: float) -> None:
-    """Sleep in a thread that works for a robot, by the clock of `now`.
-
-    For a fake whose calls block: on the virtual clock it takes no real time.
-    """
-    loop = getattr(_thread, "loop", None)
-    wait = time.sleep if loop is None else turn_of(loop).wait_in_thread
-    wait(seconds)
 
 
 def now() -> float:

@@ -7,6 +7,7 @@ constructed with; never of a copy: what a component that runs knows of its robot
 
 from __future__ import annotations
 
+import ast
 import enum
 import inspect
 import sys
@@ -641,9 +642,10 @@ def _unnamed(component: Any) -> tuple[str, str, str] | None:
 def _is_guarded() -> bool:
     """Whether the script tells if it is run, as far as its text is there."""
     try:
-        return SCRIPT in inspect.getsource(sys.modules[SCRIPT])
-    except (OSError, TypeError):
+        told = ast.walk(ast.parse(inspect.getsource(sys.modules[SCRIPT])))
+    except (OSError, TypeError, SyntaxError):
         return True
+    return any(isinstance(each, ast.Constant) and each.value == SCRIPT for each in told)
 
 
 def _unsendable(component: Any) -> tuple[str, str, str] | None:
