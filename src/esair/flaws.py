@@ -14,7 +14,7 @@ import numbers
 import sys
 import types
 import typing
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import attrs
@@ -301,11 +301,13 @@ def _is_fixed_class(cls: type) -> bool:
 
 
 def read_only(value: Any) -> Any:
-    """Return an array that cannot be written to; anything else as it is."""
+    """Return an array that nobody can write to, a copy if need be; else what it is."""
     numpy = sys.modules.get("numpy")
     if numpy is not None and isinstance(value, numpy.ndarray):
-        value = value.view()
-        value.setflags(write=False)
+        owners = value.flags, getattr(value.base, "flags", None)
+        if any(getattr(each, "writeable", False) for each in owners):
+            value = copy.deepcopy(value)
+            value.setflags(write=False)
     return value
 
 
@@ -328,6 +330,26 @@ def owned(value: Any) -> Any:
     try:
         if _shape_of(cls) == _OBJECT and not parts_of(value):
             return value  # there is nothing to change: it stands for itself
-        return copy.deepcopy(value)
+        try:
+            return copy.deepcopy(value)
+        except TypeError:  # it knows of no views: they are copied before
+            views = _views(value, {})
+            return copy.deepcopy(value, {id(each): _own_view(each) for each in views})
     except Exception:  # it may be an object of any class
         return value
+
+
+def _views(value: Any, seen: dict[int, Any]) -> Iterator[memoryview]:
+    """Yield the memoryviews in a value."""
+    if type(value) is memoryview:
+        yield value
+    elif id(value) not in seen:
+        seen[id(value)] = value
+        for _, part in parts_of(value):
+            yield from _views(part, seen)
+
+
+def _own_view(view: memoryview) -> memoryview:
+    if type(view.obj) is bytes or not view.nbytes:
+        return view
+    return memoryview(view.tobytes()).cast(view.format, view.shape)  # type: ignore[call-overload,no-any-return]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import esair
-from esair.flaws import is_fixed, owned
+from esair.flaws import is_fixed, owned, read_only
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
@@ -179,13 +179,18 @@ class Reuses(esair.Sensor[Any]):
                 self.buffer.ranges[:] = [self.rounds] * 2
             case dict():
                 self.buffer.update(a=self.rounds, b=self.rounds)
+            case np.ndarray():
+                self.buffer[:] = self.rounds
             case _:
                 self.buffer[:] = type(self.buffer)([self.rounds] * 2)
-        return self.buffer
+        return self.give(self.buffer)
+
+    def give(self, buffer: Any) -> Any:
+        return buffer
 
 
 @pytest.mark.promise("SC-1", "SC-2")
-@pytest.mark.parametrize("buffer", VALUES[:-1], ids=lambda each: type(each).__name__)
+@pytest.mark.parametrize("buffer", VALUES, ids=lambda each: type(each).__name__)
 async def test_a_driver_cannot_change_what_it_has_given(buffer: Any) -> None:
     """What was read stays, and so does the history, when its buffer is filled again."""
     sensor = Reuses(copy.deepcopy(buffer))
@@ -199,3 +204,57 @@ async def test_a_driver_cannot_change_what_it_has_given(buffer: Any) -> None:
         assert _nearest(first.value) == was
         seen = [_nearest(each.value) for each in user.it.history(9)]
         assert seen == sorted(set(seen))
+
+
+def _shown(array: Any) -> Any:
+    """A view that cannot be written to, of what can."""
+    view = array[:]
+    view.flags.writeable = False
+    return view
+
+
+@pytest.mark.promise("SC-1", "SC-2")
+@pytest.mark.parametrize(
+    ("give", "seen"),
+    [
+        (memoryview, bytes),
+        (lambda buffer: memoryview(buffer).toreadonly(), bytes),
+        (lambda buffer: (1, [memoryview(buffer)]), lambda value: bytes(value[1][0])),
+        (lambda buffer: Scan(memoryview(buffer)), lambda value: bytes(value.ranges)),  # type: ignore[arg-type]
+        (lambda buffer: _shown(np.frombuffer(buffer, np.uint8)), bytes),
+    ],
+    ids=["view", "read_only", "nested", "field", "array"],
+)
+async def test_a_view_of_a_buffer_is_no_way_round_that(give: Any, seen: Any) -> None:
+    """Wherever it is in a value: what it shows is copied when it comes."""
+    sensor = Reuses(bytearray(2))
+    sensor.give = give  # type: ignore[method-assign]
+    user: Any = esair.Behavior(
+        name="user", reads={"it": esair.reads(Any, name="reuses")}
+    )
+    async with esair.Robot(resources=[sensor], behaviors=[user]):
+        first = await user.it.reading(fresh=True)
+        was = seen(first.value)
+        await user.it.read(fresh=True)
+        assert seen(first.value) == was
+        assert len({seen(each.value) for each in user.it.history(9)}) > 1
+
+
+def test_a_view_keeps_its_form() -> None:
+    """Numbers, rows and columns; one of what nobody can change is no copy."""
+    grid = memoryview(bytearray(48)).cast("d", [2, 3])
+    mine: Any = owned(grid)
+    assert (mine.format, mine.shape, mine.readonly) == ("d", (2, 3), True)
+    assert owned(mine) is not grid
+    fixed = memoryview(b"12")
+    assert owned([fixed, [1]])[0] is fixed
+
+
+def test_an_array_that_nobody_writes_to_is_not_copied() -> None:
+    """A driver that gives a new one each time says so."""
+    frame = np.zeros((4, 4))
+    assert not np.shares_memory(read_only(frame), frame)
+    frame.flags.writeable = False
+    assert read_only(frame) is frame
+    bytes_of = np.frombuffer(b"1234", np.uint8)
+    assert read_only(bytes_of) is bytes_of
