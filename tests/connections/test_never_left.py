@@ -30,6 +30,14 @@ class Blocking(esair.Actuator[float]):
         self.done.append(command)
 
 
+async def told(commands: list[float], count: int) -> None:
+    """Wait until an actuator was told so much."""
+    for _ in range(400):
+        if len(commands) >= count:
+            return
+        await asyncio.sleep(0.005)
+
+
 @contextlib.asynccontextmanager
 async def busy(robot: esair.Robot) -> AsyncIterator[threading.Event]:
     """Have the thread of the motor do something else meanwhile."""
@@ -70,7 +78,7 @@ async def test_what_does_not_leave_its_line_ends_the_motion_that_it_took_over(
                 writing.cancel()
                 await asyncio.wait({writing})
         await asyncio.wait({writing})
-        await asyncio.sleep(0.05)
+        await told(motor.done, 3)
         assert motor.done == [0.0, 1.0, 0.0]
         assert low.motor.why().holder is None
         assert await low.motor.write(1.0)
@@ -93,11 +101,12 @@ async def test_what_expires_behind_guards_ends_the_motion_that_it_took_over() ->
     eye, slow, (low, high) = FakeSensor("eye", 9.0), Slow(), low_and_high("wheels")
     async with esair.Robot(resources=[wheels, eye], behaviors=[low, high, slow]):
         assert await low.wheels.write(1.0)
-        slow.takes = 0.05
-        expires = asyncio.get_running_loop().time() + 0.02
+        slow.takes = 0.3
+        expires = asyncio.get_running_loop().time() + 0.2
         assert not await high.wheels.write(2.0, expires=expires)
         slow.takes = 0.0
         eye.feed(1.5)
+        await told(wheels.commands, 3)
         await asyncio.sleep(0.02)
         assert wheels.commands == [0.0, 1.0, 0.0]
         assert low.wheels.why().holder is None
@@ -119,14 +128,15 @@ async def test_what_a_full_bus_does_not_take_ends_the_motion_that_it_took_over()
             with pytest.raises(esair.DriverStuckError, match="no turn"):
                 await high.motor.write(2.0)
         await waits
-        await asyncio.sleep(0.05)
+        await told(motor.done, 3)
         assert motor.done == [0.0, 1.0, 0.0]
 
 
 @pytest.mark.promise("AC-2", "CALL-2")
 async def test_what_is_given_up_on_its_way_ends_the_motion_that_it_took_over() -> None:
     """Nobody knows what became of it, however often it is tried."""
-    motor, (low, high) = FakeActuator("motor", safe=0.0), low_and_high("motor")
+    motor = FakeActuator("motor", safe=0.0, command_timeout=5.0)
+    low, high = low_and_high("motor")
     async with esair.Robot(resources=[motor], behaviors=[low, high]):
         assert await low.motor.write(1.0)
         motor.slow(0.1)
@@ -134,5 +144,5 @@ async def test_what_is_given_up_on_its_way_ends_the_motion_that_it_took_over() -
             async with asyncio.timeout(0.02):
                 await high.motor.write(2.0)
         motor.slow(0.0)
-        await motor.until(0.0, timeout=0.05)
+        await motor.until(0.0, timeout=2.0)
         assert low.motor.why().holder is None

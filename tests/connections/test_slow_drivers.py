@@ -422,3 +422,32 @@ async def test_what_was_given_up_before_its_turn_in_a_thread_is_not_begun(
         assert calls == []
         if means == "wait":
             assert robot.resources.query("arm").losses == 1
+
+
+@pytest.mark.promise("CALL-2", "CALL-3")
+async def test_no_motion_leaves_beside_a_safe_command_that_was_sent_once_more(
+    user_of: Any,
+) -> None:
+    """That would land after it, while it counts as what the device does."""
+    takes, alive, beside = [0.0, 0.5, 0.6, 1.0], list[float](), list[float]()
+
+    class Motor(esair.Actuator[float]):
+        safe = 0.0
+
+        async def write(self, command: float) -> None:
+            if command == 2.0:
+                beside.extend(alive)
+            alive.append(command)
+            await asyncio.sleep(takes.pop(0) if takes else 0.0)
+            alive.remove(command)
+
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[Motor()], behaviors=[user]) as robot:
+        first = asyncio.ensure_future(user.motor.write(1.0))
+        await asyncio.sleep(0.1)
+        robot.halt("enough")
+        robot.resume()
+        assert await user.motor.write(2.0)
+        assert await first
+        assert takes == []
+        assert beside == []

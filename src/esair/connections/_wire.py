@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import attrs
 
-from esair.connections._calls import Call, Guard, Method, translate_call
+from esair.connections._calls import Call, End, Guard, Method, translate_call
 from esair.connections._device import Operating
 from esair.connections._values import CommandCheck
 from esair.exceptions import (
@@ -426,7 +426,15 @@ class SafeCommand:
         if safe.outcome is None and device.state is ResourceState.READY:
             with contextlib.suppress(Exception):  # the answer to the other one counts
                 limit = wire.actuator.deadline
-                device.calls.begin("safe", wire.method, safe.args, limit)
+                beside = device.calls.begin("safe", wire.method, safe.args, limit)
+                if type(beside) is Call and wire.lane is None:
+                    wire.lane = beside  # no motion leaves beside it
+                    beside.apply = self._has_landed
+
+    def _has_landed(self, call: Call, _: End) -> None:
+        if call.ended is not None and call is self._wire.lane:
+            self._wire.lane = None
+            self._device.idle()
 
     async def _send(self) -> bool:
         device, wire = self._device, self._wire
