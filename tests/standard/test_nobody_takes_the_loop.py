@@ -201,7 +201,8 @@ class Hog(esair.Behavior):
 
 @pytest.mark.promise("TURN-4")
 @pytest.mark.fault("O09", "B07")
-async def test_who_holds_the_loop_is_named_while_it_does() -> None:
+@pytest.mark.parametrize("other", [None, 1e9])
+async def test_who_holds_the_loop_is_named_while_it_does(other: float | None) -> None:
     """One line with the component, the place and the stack, before it is over."""
     hog, told = Hog(), list[str]()
 
@@ -214,8 +215,10 @@ async def test_who_holds_the_loop_is_named_while_it_does() -> None:
     keep = Keep()
     logging.getLogger("esair").addHandler(keep)
     try:
-        async with esair.Robot(behaviors=[hog], stall_warning=0.1):
-            await asyncio.sleep(0.5)  # longer if it holds the loop
+        async with esair.Robot(name="patient", stall_warning=other):
+            await asyncio.sleep(0.1)  # who is patient for years keeps nobody from it
+            async with esair.Robot(behaviors=[hog], stall_warning=0.1):
+                await asyncio.sleep(0.5)  # longer if it holds the loop
     finally:
         logging.getLogger("esair").removeHandler(keep)
     assert hog.named.is_set()  # it has not held it until the end

@@ -30,6 +30,7 @@ from esair.loop._of_loop import OfLoop
 from esair.loop._ownership import current_owner
 
 JOIN = 1.0  # how long the last one who leaves waits for the thread, in seconds
+LONGEST = 86_400.0  # how long it waits at a time, in seconds: the system takes 24 days
 
 
 Look = Callable[[float], float]
@@ -114,7 +115,7 @@ class Overseer:
             now = time.monotonic()
             due = min((look(now) for look in self._looks), default=math.inf)
             pause = max(0.0, due - time.monotonic())
-            poll.poll(None if pause == math.inf else math.ceil(pause * 1e3))
+            poll.poll(math.ceil(min(pause, LONGEST) * 1e3))
             self.drain()
 
 
@@ -144,6 +145,8 @@ class StallWatch(OfLoop):
         self._limits.append(limit)
         if len(self._limits) == 1:
             overseer.join(self.look)
+        else:
+            overseer.wake()  # a stricter limit begins now
 
     def stop(self, limit: float) -> None:
         self._limits.remove(limit)
