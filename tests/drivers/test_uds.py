@@ -18,7 +18,7 @@ pytest.importorskip("isotp", reason="pip install 'esair[uds]'")
 
 import isotp
 
-from esair.buses import CanBus
+from esair.buses import CanBus, Frame
 from esair.buses.can import FakeCan
 from esair.drivers.uds import IsoTp, UdsActuator, UdsSensor
 from esair.drivers.uds.fake import FakeUnit
@@ -123,6 +123,29 @@ async def test_a_full_bus_ends_no_session() -> None:
         await asyncio.sleep(20.0)
         assert unit.controlled == {0x0123: bytes([25])}
         assert await fan.is_set_up()
+
+
+@pytest.mark.promise("BUS-5")
+async def test_a_full_bus_costs_one_answer() -> None:
+    """The frame that asks for the rest of it finds no room; the node is heard on."""
+    can = FakeCan()
+    link = IsoTp.of(can, 0x7E0, 0x7E8)
+
+    def answer(frame: Frame) -> Frame | None:
+        told = {1: b"\x10\x08abcdef", 0x30: b"\x21gh"}.get(frame.data[0])
+        return None if told is None else Frame(0x7E8, told)
+
+    can.answer(0x7E0, answer)
+    await can.open()
+    link.join(can, "me")
+    forget = can.on_send(lambda _frame: can.full(10_000))
+    with pytest.raises(DeviceFaultError, match="no frame was sent"):
+        await link.ask(can, b"?", timeout=0.5)
+    forget()
+    can.full(0)
+    assert await link.ask(can, b"?", timeout=2.0) == b"abcdefgh"
+    await link.leave("me")
+    await can.close()
 
 
 async def test_a_sign_of_life_cuts_no_message() -> None:

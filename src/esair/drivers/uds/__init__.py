@@ -35,7 +35,14 @@ from typing import Any, Final, Literal, Required, TypedDict, Unpack
 
 from esair.buses import CanBus, Exchanges, Frame, Inbox
 from esair.drivers._on_bus import SharedTask, check_bus, room_comes, shared
-from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError, EsairError
+from esair.exceptions import (
+    BusyError,
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+    EsairError,
+)
 from esair.loading import of_extra
 from esair.resources import (
     Actuator,
@@ -420,7 +427,10 @@ class IsoTp(SharedTask):
                                 receive, data=frame.data, extended_id=extended
                             )
                         )
-                    await self._process(bus)
+                    try:
+                        await self._process(bus)
+                    except (BusyError, DeviceFaultError, DriverStuckError) as error:
+                        self.exchanges.fail(error)  # of that request alone
         except BaseException as error:
             self.exchanges.fail(error)  # at once: it is not waited for any more
             raise
@@ -435,8 +445,9 @@ class IsoTp(SharedTask):
         """Let the package do what is due, and send what it has cut."""
         async with self._lock:  # frames of one message stay in order
             self._layer.process()
-            while self._cut:
-                frame = self._cut.popleft()
+            frames = list(self._cut)
+            self._cut.clear()
+            for frame in frames:
                 await bus.send(
                     frame.arbitration_id,
                     bytes(frame.data),
