@@ -17,7 +17,15 @@ import pytest
 
 import esair
 from esair.journal import Kind
-from esair.loop import Player, Scheduler, TapeWriter, TurnLoop
+from esair.loop import (
+    LightTask,
+    News,
+    Player,
+    Scheduler,
+    TapeWriter,
+    TurnLoop,
+    arrive,
+)
 from esair.testing import FakeActuator, FakeSensor
 
 ROOT = Path(__file__).parents[2]
@@ -237,6 +245,43 @@ def test_who_gave_way_because_it_computed_does_so_again() -> None:
         sum(each[0] == ("turn", "gave way") for each in kept if type(each) is tuple) > 5
     )
     assert play(TurnLoop(player=Player(kept)), kept) == live
+
+
+@pytest.mark.promise("PLC-7", "REP-2")
+def test_who_goes_on_with_what_comes_does_so_before_all_that_is_ready_again() -> None:
+    """As what a placed behavior has asked for: so its process is told in the same order."""
+
+    def play(loop: TurnLoop, tape: list[Any]) -> list[str]:
+        told: list[str] = []
+
+        async def main() -> None:
+            if loop.player is None:
+                loop.keep(TapeWriter(tape.append))
+            else:
+                loop.play()
+            comes: asyncio.Future[int] = loop.create_future()
+
+            async def waits() -> None:
+                await comes
+                told.append("waits")
+
+            light = LightTask(loop, "waits")
+            light.begin(waits())
+            light.then(lambda *_: None)
+            News(loop, ("bell",), lambda value: arrive(comes, value)).tell(1)
+            loop.call_soon(told.append, "ready")
+            await asyncio.sleep(0.01)
+            loop.keep(None)
+
+        with asyncio.Runner(loop_factory=lambda: loop) as runner:
+            runner.run(main())
+        return told
+
+    tape: list[Any] = []
+    live = play(TurnLoop(), tape)
+
+    assert live == ["waits", "ready"]
+    assert play(TurnLoop(player=Player(tape)), tape) == live
 
 
 def await_nothing(seconds: float) -> None:

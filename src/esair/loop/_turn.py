@@ -32,7 +32,7 @@ from typing import Any
 
 from esair.loop._budget import LASTS, Budget
 from esair.loop._deadlines import Deadlines
-from esair.loop._door import Door
+from esair.loop._door import Arrivals, Door
 from esair.loop._light_task import ignore, raisable, settle
 from esair.loop._of_loop import OfLoop, OfTurn
 from esair.loop._ownership import current_owner
@@ -484,7 +484,8 @@ class TurnLoop(asyncio.SelectorEventLoop):
         moment = None if player.is_over else player.next_turn()
         if moment is not None:
             self._now = moment
-            player.take()
+            with Arrivals.of(self):  # as the door does
+                player.take()
         else:
             player.end()
             events = [*events, *self._hurry(timeout)]
