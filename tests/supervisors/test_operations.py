@@ -230,6 +230,33 @@ async def test_a_write_of_a_higher_priority_ends_an_operation(command: float) ->
 
 
 @pytest.mark.promise("AC-2")
+async def test_none_begins_where_the_device_refuses_to_be_safe_before() -> None:
+    """Its owner elsewhere may move it: who asks is told why, and may when it is safe."""
+
+    class Owned(Lift):
+        owned = False
+
+        async def write(self, command: float) -> Any:
+            await super().write(command)
+            if self.owned:
+                return esair.Refused("reflex", 9, "a reflex has it", now(), None)
+            return None
+
+    lift = Owned(name="lift")
+    async with made(lift) as robot:
+        mine = await right(robot)
+        assert await robot.actuators.write(mine, 0.7)
+        lift.owned = True
+        with pytest.raises(esair.AccessDeniedError, match="a reflex has it"):
+            await robot.resources.operate(mine, "home")
+        assert lift.did == [0.0, 0.7, 0.0]
+        lift.owned = False
+        await asyncio.sleep(0.4)
+        await robot.resources.operate(mine, "home")
+        assert lift.did[:6] == [0.0, 0.7, 0.0, 0.0, "home 0.1", "home done"]
+
+
+@pytest.mark.promise("AC-2")
 async def test_none_begins_before_a_write_of_a_higher_priority_that_waits() -> None:
     """The device is busy with an earlier command; who is above comes first."""
 

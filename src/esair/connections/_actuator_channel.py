@@ -727,6 +727,8 @@ class ActuatorChannel(Device):
             moving = self.stillness.moves
             if (guard := self.guards.asked_anew(moving=moving)) is not None:
                 refused = guard.refusal()
+            elif self.safe.is_refused:
+                refused = Refused(self.name, 0, wire.told.error, now, None)
         if isinstance(refused, Refused):
             if refused.holder == HALT and refused.priority == HALT_PRIORITY:
                 raise HaltedError(self.name, refused.rule)

@@ -345,11 +345,15 @@ class SafeCommand:
 
     def _once_more(self) -> None:
         """Send it again, because it was refused; unless something else was sent since."""
-        told, ready = self._wire.told, self._device.state is ResourceState.READY
-        command = HOLD if self._stays else self._wire.actuator.safe
-        is_last = told.command is command and told.error and self._task is None
-        if is_last and ready:
+        if self.is_refused and self._device.state is ResourceState.READY:
             self._begin()
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether it was told last, and not taken."""
+        told = self._wire.told
+        command = HOLD if self._stays else self._wire.actuator.safe
+        return told.command is command and bool(told.error) and self._task is None
 
     def repeat(self) -> None:
         """Send it again: a motion has ended that may have undone it."""
