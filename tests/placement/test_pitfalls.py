@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -183,6 +184,29 @@ async def test_nobody_drives_between_the_end_of_a_hold_and_blindness() -> None:
             sonar.feed(float(number))
             await asyncio.sleep(0.05)
         await asyncio.sleep(1.2)
+        assert 9.0 not in wheels.commands[begins:]
+        assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("PLC-2", "PRO-1")
+async def test_nobody_drives_before_a_loop_that_was_held_up_has_seen_blindness() -> (
+    None
+):
+    """The hold ends meanwhile, and who waits to write is first when it goes on."""
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0, command_timeout=0.8)
+    sonar = FakeSensor("sonar", 1.0, type=float)
+    async with esair.Robot(
+        resources=[wheels, sonar], behaviors=[placed(Eyes(), Eyes.placement), Drive()]
+    ):
+        await until(lambda: 0.2 in wheels.commands)
+        sonar.feed(2.0)
+        await asyncio.sleep(0.1)
+        begins = len(wheels.commands)
+        sonar.feed(9.0)
+        await asyncio.sleep(0.1)
+        time.sleep(1.0)  # noqa: ASYNC251 - all of the loop
+        await asyncio.sleep(0.5)
         assert 9.0 not in wheels.commands[begins:]
         assert wheels.commands[-1] == 0.0
 

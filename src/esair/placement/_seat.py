@@ -41,6 +41,10 @@ __all__ = ["PlacedRunner", "Seat", "Seats", "StepSeat"]
 PATIENCE: Final = 0.2
 """How long an answer may take if no actuator says by its ``command_timeout``, in s."""
 
+HELD_ON: Final = 60.0
+"""For how long at most who owes an answer holds on to what it held, in seconds: its
+blindness, or its next decision, ends that."""
+
 
 class Seats:
     """The places of one robot's components that live in children.
@@ -424,12 +428,14 @@ class PlacedRunner(ReactionRunner):
         self._late_at.start(self._may_owe_until(now))
 
     def _may_owe_until(self, now: float) -> float:
-        """Return when it is blind: nobody else moves what it has held until then."""
+        """Return when it is blind: nobody else moves what it has held until it is."""
         until = now + self.patience
         for each in self.outputs.all.values():
-            hold = each.channel.hold
-            if hold.present(now) is each.registration:
-                until = min(until, hold.until)
+            hold, right = each.channel.hold, each.registration
+            if hold.present(now) is right:
+                lasts = right.hold or each.channel.wire.command_timeout
+                until = min(until, hold.begun + lasts)
+                hold.seconds = lasts + HELD_ON  # the loop may come late to that moment
         return until
 
     def _answered(self, value: Any, error: BaseException | None) -> None:
