@@ -1,6 +1,7 @@
 """The control socket: what comes in, who comes in, and what the wheels are told."""
 
 import asyncio
+import enum
 import json
 import os
 import socket
@@ -560,6 +561,47 @@ async def test_an_operation_of_a_device_is_called(rover, raw):
         assert done["result"] == 3
         wrong = await client.do("2", "operate", **blink, fields={"times": "x"})
         assert "times" in wrong["error"]["text"]
+
+
+class Speed(enum.Enum):
+    """How fast a lift goes."""
+
+    SLOW = "slow"
+    QUICK = "quick"
+
+
+class Lift(esair.Actuator[float]):
+    """Goes up, at a speed that JSON has no word for."""
+
+    safe = 0.0
+    pace = esair.setting(Speed.SLOW)
+
+    async def write(self, command: float) -> None:
+        pass
+
+    async def apply(self, **changes: object) -> None:
+        pass
+
+    @esair.operation
+    def lift(self, way: tuple[float, float], pace: Speed = Speed.SLOW) -> str:
+        return f"{way} {pace.name}"
+
+
+@pytest.mark.promise("OPS-2")
+async def test_what_json_has_no_word_for_is_given_as_in_a_robots_file(rover, raw):
+    """Enums by their values, tuples as lists: of operations and of settings."""
+    lift = Lift(name="lift")
+    async with rover(resources=[lift]), raw() as client:
+        up = {"resource": "lift", "operation": "lift"}
+        given = {"way": [1, 2.5], "pace": "quick"}
+        done = await client.do("1", "operate", **up, fields=given)
+        assert done["result"] == "(1.0, 2.5) QUICK"
+        wrong = await client.do("2", "operate", **up, fields={"way": [1], "pace": "x"})
+        assert "lift.way" in wrong["error"]["text"]
+        await client.do("3", "set", setting="lift.pace", value="quick")
+        assert lift.pace is Speed.QUICK
+        wrong = await client.do("4", "set", setting="lift.pace", value="x")
+        assert "'slow', 'quick'" in wrong["error"]["text"]
 
 
 @attrs.frozen

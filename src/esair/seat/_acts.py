@@ -22,7 +22,7 @@ from esair.messages import is_placed
 from esair.recording import plain
 from esair.seat._leases import SECONDS, answer_of
 from esair.seat._status import settings
-from esair.seat._values import axes, command_of, typed
+from esair.seat._values import axes, command_of, fitted, typed
 from esair.values import check_name, check_party
 
 if TYPE_CHECKING:
@@ -371,10 +371,9 @@ async def _set(console: Console, _: Session, setting: str, value: object) -> Any
         raise BadValueError("set", "setting", told)
     resources = console.robot.resources
     resource = resources.get(check_name("set", name))
-    if isinstance(value, dict | list):  # a setting may be a record
-        known = {each["name"]: each for each in settings(resource)}
-        if field in known:
-            value = typed(value, type(getattr(resource, field)), name, field)
+    if any(each["name"] == field for each in settings(resource)):
+        kind = getattr(type(resource), field).type
+        value = fitted(value, kind, name, field)  # a setting may be a record
     with console.right_to_configure(name) as registration:
         await resources.configure(registration, **{field: value})
     (found,) = (each for each in settings(resource) if each["name"] == field)
@@ -392,6 +391,11 @@ async def _operate(
 ) -> Any:
     resources = console.robot.resources
     with console.right_to_configure(resource) as registration:
+        known = resources.get(resource).operations.get(operation)
+        for each in () if known is None else known.parameters:
+            if (key := each.name) in fields:
+                value = fitted(fields[key], each.type, resource, f"{operation}.{key}")
+                fields = {**fields, key: value}
         return plain(await resources.operate(registration, operation, **fields))
 
 

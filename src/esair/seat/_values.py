@@ -30,6 +30,12 @@ def typed(value: Any, kind: Any, component: str, field: str) -> Any:
     return found
 
 
+def fitted(value: Any, kind: Any, component: str, field: str) -> Any:
+    """Return a value of JSON as a type that JSON does not have, any other as it is."""
+    is_plain = kind in {float, int, bool, str, type(None)}
+    return value if is_plain else typed(value, kind, component, field)
+
+
 def command_of(actuator: Actuator[Any], value: Any) -> Any:
     """Return a value of JSON as a command of an actuator."""
     return typed(value, command_type(actuator), actuator.name, "command")
