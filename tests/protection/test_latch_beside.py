@@ -97,3 +97,33 @@ async def test_what_did_not_move_latches_nothing() -> None:
         door.plug()
         await asyncio.sleep(2.0)
         assert "latched" not in str(robot.resources.why("wheels"))
+
+
+@pytest.mark.parametrize("how", ["raises", "wants more", "wants the driver to stay"])
+async def test_one_that_fails_while_something_moves_latches(how: str) -> None:
+    """It has let nothing pass: when it is back, nothing moves until the reset."""
+
+    class Fails(Stop):
+        restart = esair.Restart(delay=0.1)
+
+        def react(self, door: float, wheels: float) -> Any:
+            if door < 0.5 and how == "raises":
+                raise ValueError("a bug")
+            if door < 0.5:
+                return 2 * wheels if how == "wants more" else esair.HOLD
+            return wheels
+
+    wheels = FakeActuator("wheels", safe=0.0)
+    door = FakeSensor("door", 1.0, type=float, rate=20.0)
+    async with esair.Robot(
+        resources=[wheels, door], behaviors=[Belt(), Fails(name="stop")]
+    ) as robot:
+        await asyncio.sleep(0.5)
+        door.feed(0.1)
+        await wheels.until(0.0)
+        told = len(wheels.commands)
+        door.feed(1.0)
+        await asyncio.sleep(2.0)
+        assert 0.3 not in wheels.commands[told:]
+        robot.behaviors.reset("stop")
+        await wheels.until(0.3, timeout=0.5)

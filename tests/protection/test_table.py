@@ -306,13 +306,13 @@ async def test_what_a_guard_raises_is_told_outside_of_the_commit_point() -> None
     entry = deciding(guard(fallback=lambda command: command))
     entry.on_crash = told.append
     error = RuntimeError("a bug")
-    entry.crash(error)
+    entry.crash(error, 1.0)
     assert told == []
     await asyncio.sleep(0)
     assert told == [error]
     assert entry.reason == "it crashed: RuntimeError: a bug"
     assert weigh(entry, 0.5) is None
-    entry.crash(RuntimeError("another"))
+    entry.crash(RuntimeError("another"), 1.0)
     assert entry.reason == "it crashed: RuntimeError: a bug"
 
 

@@ -164,8 +164,6 @@ class Protection:
                 self._latch("it has refused a command", command)
             if passed is None or passed is command:
                 return passed
-            if passed is HOLD:
-                return None
             if passed is handed and is_opaque(passed):
                 return command
             if not is_weaker(passed, command, safe):
@@ -176,14 +174,14 @@ class Protection:
                     f"or None, not {passed!r:.80}",
                 )
         except BaseException as error:  # contained: one component's failure
-            self.crash(error)
+            self.crash(error, command)
             return None
         return command if is_same(passed, command) else passed
 
     @staticmethod
     def _answer(judge: Judge, command: Any) -> Any:
         passed = judge(command)
-        return None if passed is REFUSE else passed
+        return None if passed is REFUSE or passed is HOLD else passed
 
     def note(self, stops: bool) -> None:
         """Say in the log when a guard begins and ceases to stop commands."""
@@ -196,11 +194,12 @@ class Protection:
             _log.info("%s: %s lets commands pass again", self.actuator, self.label)
         self.stopping = rule
 
-    def crash(self, error: BaseException) -> None:
+    def crash(self, error: BaseException, command: Any) -> None:
         """Let nothing pass from now on; its owner hears of it outside of this step."""
         self.judge = None
         self.fallback = None
         self.reason = self.reason or f"it crashed: {describe(error)}"
+        self._latch(self.reason, command)  # it has not let this pass
         asyncio.get_running_loop().call_soon(self.on_crash, error)
 
     def why_latched_still(self) -> str:
@@ -355,7 +354,7 @@ class Guards:
                 try:
                     weighed = wire.check.checked(weighed)
                 except BadValueError as error:  # the guard's own: it is asked no more
-                    guard.crash(error)
+                    guard.crash(error, command)
                     weighed = None
                 by = guard.component
             guard.note(weighed is None)
