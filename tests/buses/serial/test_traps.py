@@ -19,6 +19,7 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 
 import pytest
+import serial  # type: ignore[import-untyped]
 from tests.patience import within
 
 from esair.buses import SerialBus
@@ -151,6 +152,32 @@ async def test_here_a_write_ends_at_its_deadline(size: int) -> None:
         termios.tcflow(slave, termios.TCOON)
         await bus.write(b"stop\n")
         assert os.read(master, 4096) == b"stop\n"
+        await bus.close()
+
+
+@pytest.mark.fault("D16")
+async def test_here_what_the_kernel_has_taken_is_thrown_away_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A port keeps some 4096 bytes for a device that takes none; here the terminal does."""
+
+    def thrown_away(_: serial.Serial) -> None:
+        termios.tcflush(master, termios.TCIFLUSH)
+
+    with terminal() as (master, slave):
+        bus = SerialBus(name="front", port=os.ttyname(slave), write_timeout=0.1)
+        await bus.open()
+        await bus.write(b"forward\n")
+        monkeypatch.setattr(serial.Serial, "out_waiting", 8)
+        monkeypatch.setattr(serial.Serial, "reset_output_buffer", thrown_away)
+        termios.tcflow(slave, termios.TCOOFF)
+        with pytest.raises(DriverStuckError):
+            await bus.write(b"faster\n")
+
+        termios.tcflow(slave, termios.TCOON)
+        await bus.write(b"stop\n")
+        assert os.read(master, 4096) == b"\nstop\n", "what was taken may be cut"
+        assert bus.stats.discarded == 15
         await bus.close()
 
 

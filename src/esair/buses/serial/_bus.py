@@ -331,6 +331,10 @@ class SerialBus(Bus):
         except TimeoutError:
             stuck = self.failed(DriverStuckError(self.name, "write", seconds))
             self._discard(line, stuck)
+            port = self._open_device
+            if port is not None and (held := port.throw_away()):
+                self.stats.discarded += held
+                self._is_cut, self._echo = True, b""
             raise stuck from None
         except asyncio.CancelledError as cancelled:
             if line.waiting == 1:  # nobody's bytes wait behind these

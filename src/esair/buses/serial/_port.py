@@ -336,6 +336,16 @@ class Port:
     def flush(self) -> None:
         """Do not wait: `shut` does it, in a thread and for a limited time."""
 
+    def throw_away(self) -> int:
+        """Throw away what the kernel has taken and not sent; return how many bytes."""
+        held = 0
+        if self._is_terminal:
+            with contextlib.suppress(OSError, termios.error):
+                held = int(self.device.out_waiting)
+                if held:
+                    self.device.reset_output_buffer()
+        return held
+
     def close(self) -> None:
         """Leave the closing, which can block, to `shut`."""
 
