@@ -539,6 +539,38 @@ def test_a_thread_that_nobody_orders_is_named(tmp_path: Path) -> None:
     assert "asyncio.to_thread" in found.why
 
 
+PLACED = """
+import asyncio
+import esair
+
+
+class Base(esair.Behavior):
+    placement = {}
+
+    async def run(self) -> None:
+        await asyncio.to_thread(str)
+
+
+class Works(Base):
+    pass
+"""
+
+
+@pytest.mark.promise("REP-3", "PLC-7")
+def test_a_thread_in_a_process_of_its_own_is_named(tmp_path: Path) -> None:
+    """Its recording is not exact; that of the same component in the robot's is."""
+    file = tmp_path / "works.py"
+    toml = tmp_path / "robot.toml"
+    toml.write_text('[behavior.works]\ndriver = "works:Works"\nplacement = "process"\n')
+    file.write_text(PLACED.format("'task'"))
+    assert unrepeatable(f"{file}:robot") == []
+    assert "without placement" in unrepeatable(toml)[0].why
+    file.write_text(PLACED.format("'process'"))
+    assert [each.call for each in unrepeatable(f"{file}:robot")] == [
+        "asyncio.to_thread"
+    ]
+
+
 @pytest.mark.promise("REP-3")
 def test_what_repeats_is_not_named(tmp_path: Path) -> None:
     """Neither the random numbers of the robot, nor its time, nor drivers."""

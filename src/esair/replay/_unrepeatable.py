@@ -27,6 +27,9 @@ _FILE = "a file: a replay reads what is in it then"
 _NETWORK = "the network; what comes in that way should come from a sensor"
 _THREAD = "a thread or process of its own, which nobody orders"
 _ANYIO = "a thread of anyio, which nobody orders; those of asyncio.to_thread repeat"
+_PLACED = (
+    "a thread of a placed component, which nobody orders; without placement it repeats"
+)
 
 _CALLS: Final = {
     name: why
@@ -132,8 +135,8 @@ def unrepeatable(made_of: str | os.PathLike[str]) -> list[Unrepeatable]:
     else:
         begin = [*_of_file(Path(target))]
     found: dict[tuple[str, int, str], Unrepeatable] = {}
-    for name, source, code in begin:
-        for each in _in_code(name, source, code):
+    for name, source, code, is_placed in begin:
+        for each in _in_code(name, source, code, is_placed=is_placed):
             found.setdefault((each.file, each.line, each.call), each)
     return sorted(found.values(), key=lambda each: (each.file, each.line))
 
@@ -279,7 +282,11 @@ def _places(folder: Path) -> tuple[str, ...]:
     return (str(folder), *sys.path)
 
 
-def _of_file(path: Path) -> Iterator[tuple[str, Source, _Code]]:
+_Found = tuple[str, Source, _Code, bool]
+"""A class by the name of its component, and whether that is placed."""
+
+
+def _of_file(path: Path) -> Iterator[_Found]:
     """Yield the classes of the behaviors that a robot.toml names."""
     tables = config.tables_of(path).get("behavior")
     folder = path.resolve().parent
@@ -299,7 +306,9 @@ def _of_file(path: Path) -> Iterator[tuple[str, Source, _Code]]:
             f"{module}.{wanted}"
         )
         if found is not None:
-            yield (name, *found)
+            placement = table.get("placement")
+            is_placed = _is_placed(*found) if placement is None else placement != "task"
+            yield (name, *found, is_placed)
 
 
 def _root(file: Path, module: str) -> Path:
@@ -308,7 +317,7 @@ def _root(file: Path, module: str) -> Path:
     return file.resolve().parents[depth]
 
 
-def _of_program(target: str) -> Iterator[tuple[str, Source, _Code]]:
+def _of_program(target: str) -> Iterator[_Found]:
     """Yield the classes of a program, and of the modules beside it, that act."""
     where = target if target.endswith(".py") else target.rpartition(":")[0]
     file = (
@@ -324,7 +333,7 @@ def _of_program(target: str) -> Iterator[tuple[str, Source, _Code]]:
         source = waiting.pop()
         for name, code in source.code.items():
             if isinstance(code, ast.ClassDef) and _acts(source, code):
-                yield snake_case(name), source, code
+                yield snake_case(name), source, code, _is_placed(source, code)
         for path in source.names.values():
             for each in (path, path.rpartition(".")[0]):
                 beside = _file_of(each, source.places[:1])
@@ -349,7 +358,22 @@ def _acts(source: Source, code: ast.ClassDef, depth: int = 8) -> bool:
     return False
 
 
-def _in_code(name: str, source: Source, code: _Code) -> Iterator[Unrepeatable]:
+def _is_placed(source: Source, code: _Code, depth: int = 8) -> bool:
+    """Tell whether a class says that it lives in a process of its own."""
+    if not isinstance(code, ast.ClassDef):
+        return False
+    for node in code.body:
+        targets = node.targets if isinstance(node, ast.Assign) else []
+        if any(isinstance(t, ast.Name) and t.id == "placement" for t in targets):
+            value = node.value  # type: ignore[attr-defined]
+            return not (isinstance(value, ast.Constant) and value.value != "process")
+    bases = [source.find(source.resolved(each, source.names)) for each in code.bases]
+    return any(_is_placed(*each, depth - 1) for each in bases if each and depth)
+
+
+def _in_code(
+    name: str, source: Source, code: _Code, *, is_placed: bool
+) -> Iterator[Unrepeatable]:
     waiting = [(source, code)]
     seen: set[tuple[Path, int]] = set()
     while waiting:
@@ -361,6 +385,8 @@ def _in_code(name: str, source: Source, code: _Code) -> Iterator[Unrepeatable]:
         for node, given in _used(code):
             path = source.resolved(node, names)
             why = _why(path)
+            if is_placed and path == "asyncio.to_thread":
+                why = _PLACED
             if why and (given is not None or _is_function(path)):
                 if (given or 0) < _REPEATS_WITH.get(path, sys.maxsize):
                     yield Unrepeatable(name, str(source.path), node.lineno, path, why)
