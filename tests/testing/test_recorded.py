@@ -220,3 +220,40 @@ def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
 
     with pytest.raises(RecordingBrokenError, match="no recording of esair"):
         recording(path)
+
+
+class Fix(esair.Sensor[float]):
+    """Knows that what it gives was measured some time ago."""
+
+    rate = 10.0
+
+    async def read(self) -> Any:
+        return esair.Stamped(1.0, age=0.15)
+
+
+class Looks(esair.Behavior):
+    """Looks at how old readings are when they come."""
+
+    age = 0.0
+    fix = esair.reads(float)
+
+    async def run(self) -> None:
+        async for _ in self.fix:
+            self.age = self.fix.newest.arrived - self.fix.newest.time
+
+
+@pytest.mark.promise("REP-1", "REC-2", "SC-4")
+@pytest.mark.virtual_clock
+async def test_a_reading_is_as_old_as_it_was(tmp_path: Path) -> None:
+    """A recording holds when it was measured, beside when it came."""
+    path = tmp_path / "virtual.mcap"
+
+    async def age_of(sensors: list[Any], **options: Any) -> float:
+        looks = Looks()
+        async with esair.Robot(resources=sensors, behaviors=[looks], **options):
+            await asyncio.sleep(0.23)
+        return looks.age
+
+    kept = esair.Recording(path, min_free=0)
+    assert await age_of([Fix()], record=kept) == pytest.approx(0.15)
+    assert await age_of([*recording(path)]) == pytest.approx(0.15)

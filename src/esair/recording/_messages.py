@@ -93,6 +93,8 @@ def seen_as(event: Event, offset: float, encode: Callable[[Any], Any] = plain) -
     if kind is Kind.READING:
         topic = f"/sensor/{event.component}"
         envelope["sequence"] = value.sequence
+        if value.time != event.time:
+            envelope["measured"] = value.time
         seen = known(value.value, value.time + offset)
         envelope["value"] = encode(value.value)
         if seen is not None:

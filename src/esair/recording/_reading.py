@@ -43,6 +43,7 @@ class Recorded(NamedTuple):
         peer: The other one, if there is one.
         value: What it is about.
         text: Why.
+        measured: When a reading was measured, if that was before it came in.
     """
 
     number: int
@@ -52,6 +53,7 @@ class Recorded(NamedTuple):
     peer: str
     value: Any
     text: str
+    measured: float | None = None
 
 
 _NUMBERED = re.compile(r"(.+)\.([1-9][0-9]*)")  # The stem of a later segment
@@ -123,11 +125,12 @@ def _event(data: bytes) -> Recorded | None:
         message = json.loads(data.decode())  # of bytes it would guess their encoding
         told = message.get("esair", message)
         found = Recorded(*map(told.get, Recorded._fields))
-        texts = found[2:5] + found[6:]
+        texts = (*found[2:5], found.text)
+        times = found.time, 0.0 if found.measured is None else found.measured
         is_one = (
             type(found.number) is int
-            and type(found.time) in {int, float}
-            and abs(found.time) < LATEST
+            and all(type(each) in {int, float} for each in times)
+            and all(abs(each) < LATEST for each in times)
             and all(type(each) is str for each in texts)
             and not _is_deep(data, found.value)
         )

@@ -56,6 +56,11 @@ class RecordedSensor(FakeSensor[Any]):
         self._fault = error
         self._news.set()
 
+    def feed_old(self, value: Any, age: float) -> None:
+        """Push a value that was measured some time ago."""
+        self.feed(value)
+        self._fed[-1] = Stamped(value, age=age)
+
     async def stream(self) -> AsyncIterator[Any]:
         """Push what was recorded, and what a test feeds beside."""
         self._fed.clear()
@@ -221,7 +226,11 @@ def _acts(
             value = next((v for v in own if plain(v) == event.value), None)
             if value is None:
                 value = _made_of(event.value, kinds.get(event.component, Any))
-            yield seconds, sensor.feed, (value,)
+            if event.measured is not None and event.measured < event.time:
+                age = event.time - event.measured
+                yield seconds, sensor.feed_old, (value, age)
+            else:
+                yield seconds, sensor.feed, (value,)
         elif event.kind == Kind.DOWN:
             yield seconds, sensor.unplug, ()
         elif event.kind == Kind.UP:
