@@ -152,6 +152,13 @@ class Hand(esair.Behavior):
         await asyncio.get_running_loop().create_future()
 
 
+class Idle(esair.Behavior):
+    """A behavior in the hands of a test that uses nothing."""
+
+    async def run(self) -> None:
+        await asyncio.get_running_loop().create_future()
+
+
 def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

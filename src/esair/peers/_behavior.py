@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import weakref
 from collections.abc import Iterable
 from functools import partial
 from typing import Any, Final
@@ -21,6 +22,14 @@ from esair.exceptions import (
 )
 from esair.loop import News, outside
 from esair.values import fits, type_name
+
+made_for: weakref.WeakKeyDictionary[asyncio.Task[Any], tuple[int, ...]] = (
+    weakref.WeakKeyDictionary()
+)
+"""The numbers of the asks of other robots that wait for a task, the nearest first."""
+
+NEAREST: Final = 16
+"""How many of them are told to the next robot."""
 
 
 class PeerBehavior(Behavior):
@@ -59,29 +68,16 @@ class PeerBehavior(Behavior):
                 pass  # the asker has it
             finally:
                 del self._working[number]
-                ours = request._order  # noqa: SLF001 - what waits here for it
-                for asked, order in tuple(self.bus.asked_for.items()):
-                    if order is ours:
-                        del self.bus.asked_for[asked]
 
     def _number(self, number: int, asked: int) -> None:
         if number in self._working:
-            self.bus.asked_for[asked] = self._working[number]._order  # noqa: SLF001
-
-    def _cause(self, request: Request[Any]) -> int | None:
-        """Return which ask of the peer a request is made for, if it is for one."""
-        order: Any = request._order  # noqa: SLF001
-        while order is not None and not order.over:
-            for number, task in self.bus.worked_on.items():
-                if task is order.task:
-                    return number
-            order = order.parent
-        return None
+            order: Any = self._working[number]._order  # noqa: SLF001
+            order.crossed = asked
 
     async def _hand_on(self, number: int, request: Request[Any]) -> None:
         tag = "peer", self.name, "ask"
-        cause = self._cause(request)
-        how, data = await outside(tag, partial(self._ask, number, request.data, cause))
+        causes = _causes(request)
+        how, data = await outside(tag, partial(self._ask, number, request.data, causes))
         try:
             value = decode(data, self.bus.kinds)
         except CodecError as error:
@@ -102,7 +98,7 @@ class PeerBehavior(Behavior):
             raise OutcomeUnknownError(self.name, str(value))
 
     async def _ask(
-        self, number: int, request: object, cause: int | None
+        self, number: int, request: object, causes: tuple[int, ...]
     ) -> tuple[str, bytes]:
         """Ask over the network; what comes of it is plain, and kept in a recording."""
         bus = self.bus
@@ -112,8 +108,8 @@ class PeerBehavior(Behavior):
 
         def numbered(asked: int) -> None:
             self._numbered.tell(number, asked)
-            if cause is not None:
-                bus.say("because", asked, cause)
+            if causes:
+                bus.say("because", asked, causes if causes[1:] else causes[0])
 
         how, value = "declined", f"{bus.name!r} is not there"
         try:
@@ -130,6 +126,16 @@ class PeerBehavior(Behavior):
     def _hear(self, number: int, data: bytes) -> None:
         if number in self._working:
             self._working[number].progress(decode(data, self.bus.kinds))
+
+
+def _causes(request: Request[Any]) -> tuple[int, ...]:
+    """Return the asks of other robots that a request is made for."""
+    order: Any = request._order  # noqa: SLF001
+    while order is not None and not order.over:
+        if order.task in made_for:
+            return made_for[order.task]
+        order = order.parent
+    return ()
 
 
 def peer_behavior(

@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 import collections
 import contextlib
+import itertools
 import math
 from collections.abc import Iterable
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, cast
 
 import attrs
 
@@ -31,6 +32,7 @@ from esair.exceptions import (
 )
 from esair.loop import News, now
 from esair.messages import Refused, ResourceState
+from esair.peers._behavior import NEAREST, made_for
 from esair.resources import HOLD
 
 _WAITING: Final = 4
@@ -118,8 +120,7 @@ class Sharing(Behavior):
         self._feeds: dict[str, asyncio.Task[None]] = {}
         self._pauses: dict[str, float] = {}
         self._asks: dict[int, asyncio.Task[None]] = {}
-        self.bus.worked_on = self._asks
-        self._causes: collections.deque[tuple[int, int]] = collections.deque(
+        self._causes: collections.deque[tuple[int, Any]] = collections.deque(
             maxlen=_ASKS
         )
         self._missing: set[int] = set()
@@ -340,18 +341,22 @@ class Sharing(Behavior):
         elif number in self._asks:
             return
         else:
-            order = self.bus.asked_for.get(dict(self._causes).get(number, -1))
-            task = tasks.create_task(self._work(number, name, request, order))
+            task = tasks.create_task(self._work(number, name, request))
             self._asks[number] = task
             task.add_done_callback(lambda _: self._asks.pop(number, None))
             return
         self._answer(number, "declined", told)
 
-    async def _work(
-        self, number: int, name: str, request: Request[Any], order: Any
-    ) -> None:
-        if order is not None:
-            order.serve()  # it is done for one of this robot: a circle is seen
+    async def _work(self, number: int, name: str, request: Request[Any]) -> None:
+        told = dict(self._causes).get(number, ())
+        causes = told if type(told) is tuple else (told,)
+        task, mail = cast("Any", (asyncio.current_task(), self._mail))
+        made_for[task] = number, *[n for n in causes if type(n) is int][: NEAREST - 1]
+        if causes:
+            requests = itertools.chain.from_iterable(mail.mediator.of_asker.values())
+            ours = {each.crossed: each for each in requests}
+            if found := [ours[n] for n in made_for[task] if n in ours]:
+                found[0].serve()  # it is done for one of this robot: a circle is seen
 
         def progress(value: Any) -> None:
             self.bus.say("progress", number, value)

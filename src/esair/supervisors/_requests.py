@@ -104,6 +104,7 @@ class Request:
     _wake: asyncio.Future[None] | None = None
     deadline: Deadline | None = None
     outer: Request | None = None
+    crossed: int | None = None  # the number under which another robot is asked for it
     handed: tuple[Any, ...] = ()  # what a method of the peer gets that serves it
     _news: Any = _NO_NEWS
     worker: asyncio.Task[Any] | None = None  # who is cancelled with it

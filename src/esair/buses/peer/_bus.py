@@ -118,10 +118,6 @@ class PeerBus(Bus):
         self._beating: asyncio.Task[None] | None = None
         self._numbers = itertools.count(secrets.randbits(31) << 20)
         self._pending: dict[int, _Request] = {}
-        self.worked_on: dict[int, asyncio.Task[None]] = {}
-        """What is done here for the peer, by the numbers of its asks."""
-        self.asked_for: dict[int, Any] = {}
-        """What each ask of the peer is for here, by its number: an order."""
         self._releases: dict[str, int] = {}
         """Of each actuator the release that has no answer yet."""
         self._followed: dict[Inbox[Any], tuple[str, float]] = {}

@@ -31,7 +31,7 @@ FORMS: Final[Mapping[str, tuple[Any, ...]]] = {
     "write": (int, str, object),  # number, actuator, command
     "release": (int, str),
     "ask": (int, str, object),  # number, behavior, request
-    "because": (int, int),  # an ask's number, and that of the other side it is made for
+    "because": (int, object),  # an ask's number, and those of the asks it is made for
     "cancel": (int,),
     "pending": (list,),  # the numbers of asks that have no answer yet
     "answer": (int, str, object),  # number, how, what
