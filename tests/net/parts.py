@@ -47,8 +47,8 @@ class Docking(esair.Behavior):
 
     orders = esair.takes(Dock)
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, *, name: str = "docking") -> None:
+        super().__init__(name=name)
         self.go = asyncio.Event()
         self.begun: list[int] = []
         self.cancelled = 0

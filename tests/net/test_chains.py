@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
-from tests.net.parts import Dock, Docked, Idle
+from tests.net.parts import Dock, Docked, Docking, Idle
 from tests.net.test_parts import Asks
 
 import esair
@@ -102,3 +102,16 @@ async def test_over_three_robots_a_second_loop_may_be_asked_back() -> None:
     three.workers["a"] = AsksTwice(name="dock_a", other="dock_b")
     async with three.all(idle):
         assert await idle.ask("dock_a", Dock(3), timeout=1.0) == Docked(0)
+
+
+@pytest.mark.promise("NET-3")
+async def test_an_answer_that_is_lost_two_robots_away_is_not_known() -> None:
+    """Whoever handed the request on does not know what became of it, either."""
+    three, idle, docking = Three(), Idle(), Docking(name="dock_c")
+    three.workers["c"] = docking
+    async with three.all(idle):
+        asking = asyncio.ensure_future(idle.ask("dock_a", Dock(9), timeout=None))
+        await asyncio.sleep(0.2)
+        three.network.cut("c")
+        with pytest.raises(esair.OutcomeUnknownError):
+            await asking

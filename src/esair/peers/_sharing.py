@@ -24,6 +24,7 @@ from esair.exceptions import (
     DeviceLostError,
     EsairError,
     NotRegisteredError,
+    OutcomeUnknownError,
     RefusedError,
     ResourceRemovedError,
     StoppingError,
@@ -370,6 +371,8 @@ class Sharing(Behavior):
             self._answer(number, "removed", describe(error))
         except BehaviorFailedError as error:
             self._answer(number, "failed", error.detail)
+        except OutcomeUnknownError as error:  # a robot behind this one was lost
+            self._answer(number, "lost", error.detail)
         except Exception as error:
             self._answer(number, "failed", describe(error))
         else:
