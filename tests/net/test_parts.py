@@ -145,6 +145,16 @@ async def test_ask() -> None:
         assert news == [0.5]
 
 
+@pytest.mark.promise("BS-10", "NET-2")
+async def test_a_time_out_says_that_the_behavior_is_at_another_robot() -> None:
+    """What stands for it here runs: that says nothing of the one that rests there."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand):
+        with pytest.raises(esair.BehaviorUnavailableError) as late:
+            await hand.ask("far_docking", Dock(2), timeout=1.0)
+        assert "it is at base: busy, resting or restarting there" in str(late.value)
+
+
 class Asks(esair.Behavior):
     """Asks the other robot, before it answers."""
 

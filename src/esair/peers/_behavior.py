@@ -41,6 +41,8 @@ class PeerBehavior(Behavior):
 
     bus: PeerBus
     remote: str
+    doing_there: str
+    """What is said of it when there was no answer in time."""
     asked_alone: Final = "put and get do not cross to another robot: ask it"
 
     async def setup(self) -> None:
@@ -157,4 +159,5 @@ def peer_behavior(
     made: PeerBehavior = type("PeerBehavior", (PeerBehavior,), ports)(name=name)
     made.bus = bus
     made.remote = remote or name
+    made.doing_there = f"at {bus.name}: busy, resting or restarting there"
     return made

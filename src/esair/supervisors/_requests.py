@@ -189,7 +189,10 @@ class Request:
 
     def expire(self, interval: float) -> None:
         """Its time is over."""
-        wanted, state = _WANTED[self.kind], self.queue.member.state.value
+        wanted, member = _WANTED[self.kind], self.queue.member
+        state = member.state.value
+        if member.state is BehaviorState.RUNNING:
+            state = getattr(member.action, "doing_there", state)
         late = BehaviorUnavailableError(self.peer, wanted, interval, state)
         self.withdraw(Outcome.TIMED_OUT, error=late)
 
