@@ -59,6 +59,18 @@ class Docking(esair.Behavior):
         return Docked(request.bay)
 
 
+class Idle(esair.Behavior):
+    async def run(self) -> None:
+        pass
+
+
+class Hasty(esair.Reaction):
+    sonar = esair.reads(float, max_age=0.08)
+
+    def react(self, sonar: float) -> None:
+        pass
+
+
 class Drive(esair.Behavior):
     sonar = esair.reads(float)
     wheels = esair.writes(Twist)
@@ -129,6 +141,7 @@ class Files:
         self.folder = folder
         self.module = f"parts_{folder.name.replace('-', '_')}"
         (folder / f"{self.module}.py").write_text(PARTS)
+        (folder / f"{self.module}_2.py").write_text(PARTS)
         self.port = free_port()
         self.base, self.rover = self.write("base", BASE), self.write("rover", ROVER)
 
@@ -192,6 +205,14 @@ def test_a_pair_without_a_mistake(files: Files) -> None:
         ("rover", ".sensor.", ".senser.", "remote.base.senser", "mean 'sensor'"),
         ("rover", "sensor.sonar", "sensor.base", "sensor.base", "already"),
         ("rover", ":Dock", ":Docked", "docking.requests", "not derived from"),
+        ("base", "MODULE:Docking", "MODULE:Idle", "docking.requests", "takes no"),
+        (
+            "rover",
+            "MODULE:Twist",
+            "MODULE_2:Twist",
+            "wheels.type",
+            ":Twist in base.toml, not parts_",
+        ),
         ("rover", '"float"', '"bool"', "base.sensor.sonar.type", "gives float"),
         ("rover", '"float"', '"MODULE:No"', "sonar.type", "no attribute 'No'"),
         ("rover", '"float"', '"rovr:No"', "sonar.type", "put it beside the robot.toml"),
@@ -260,6 +281,55 @@ def test_a_simulation_joins_no_network_by_an_omission(files: Files) -> None:
     files.change(files.rover, end, "here")
     (found,) = check(files.rover).findings
     assert (found.key, found.only_simulated) == ("network.connect", True)
+
+
+@pytest.mark.promise("NET-2")
+@pytest.mark.parametrize(
+    ("file", "old", "new", "key", "told"),
+    [
+        ("rover", "remote.base.", "remote.bse.", "remote.bse", "is 'base'"),
+        ("base", 'to = ["rover"]', 'to = ["rovr"]', "share.sonar", "of 'rovr'"),
+        (
+            "rover",
+            "period = 0.5",
+            "link_rate = 50.0",
+            "sonar.link_rate",
+            "20 Hz at most",
+        ),
+        ("rover", "period = 0.5", "period = 0.05", "sonar.period", "every 0.1 s"),
+        ("rover", ":Drive", ":Hasty", "behavior.drive", "0.08 s old at most"),
+        (
+            "rover",
+            'type = "MODULE:Twist"',
+            "command_timeout = 0.5",
+            "wheels.command_timeout",
+            "good for 0.2 s only",
+        ),
+    ],
+)
+def test_what_may_be_meant_otherwise_there_is_a_warning(
+    files: Files, file: str, old: str, new: str, key: str, told: str
+) -> None:
+    """With the file and the line: names, rates and times that do not fit together."""
+    path = getattr(files, file)
+    for _ in range(path.read_text().count(old.replace("MODULE", files.module))):
+        files.change(path, old, new)
+    reports = check_together([files.base, files.rover])
+    found = [
+        (each.key, each.message)
+        for report in reports
+        if Path(report.file).name == f"{file}.toml"
+        for each in report.findings
+        if each.rule == "peer" and each.severity == "warning"
+    ]
+    assert any(key in where and told in why for where, why in found), found
+
+
+def test_a_third_robot_needs_no_file(files: Files) -> None:
+    """Of the two that are looked at each knows the other one."""
+    files.change(files.base, 'to = ["rover"]', 'to = ["rover", "other"]')
+    reports = check_together([files.base, files.rover])
+    assert not [e for r in reports for e in r.findings if e.rule == "peer"]
 
 
 async def docked(drive: Any) -> None:

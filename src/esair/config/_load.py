@@ -13,7 +13,12 @@ from esair.actions import Behavior, ProfiledAction, Reaction
 from esair.buses import Bus
 from esair.config._draft import Draft
 from esair.config._module import is_of_module, robot_of
-from esair.config._network import open_to_all, pair_mistakes, unmet
+from esair.config._network import (
+    open_to_all,
+    pair_mistakes,
+    pair_warnings,
+    strangers,
+)
 from esair.config._parts import make_draft, refused_by_robot
 from esair.config._source import read_source
 from esair.exceptions import ConfigError
@@ -222,16 +227,18 @@ def check_together(
         for path in paths
     ]
     for number, mine in enumerate(drafts):
+        if mine is None:
+            continue
+        others = [each for each in drafts if each is not None and each is not mine]
+        lines, told = mine.source.mistakes.lines, [("warning", strangers(mine, others))]
+        for other in others:
+            told.append(("error", pair_mistakes(mine, other)))
+            told.append(("warning", pair_warnings(mine, other)))
         found = [
-            FoundInFile("error", "peer", key, mine.source.mistakes.lines.of(key), told)
-            for other in drafts
-            if mine is not None and other is not None and other is not mine
-            for key, told in pair_mistakes(mine, other)
+            FoundInFile(severity, "peer", key, lines.of(key), why)
+            for severity, each in told
+            for key, why in each
         ]
-        for other in drafts:
-            if mine and other and (told := unmet(mine, other)):
-                line = mine.source.mistakes.lines.of(end := "network.connect")
-                found.append(FoundInFile("warning", "peer", end, line, told))
         every = (*found, *reports[number].findings)
         reports[number] = attrs.evolve(reports[number], findings=every)
     return reports

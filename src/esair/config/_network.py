@@ -22,7 +22,7 @@ from esair.config._tables import named_tables, variant_of
 from esair.config._values import INVALID
 from esair.plan import inner_of
 from esair.resources import Sensor
-from esair.values import type_name
+from esair.values import is_positive, type_name
 
 TABLES: Final = frozenset({"network", "remote", "share"})
 
@@ -305,40 +305,117 @@ def pair_mistakes(mine: Draft, other: Draft) -> Iterator[tuple[str, str]]:
             yield from _misfits(key, made[kind, name], part.made, file)
 
 
-def unmet(mine: Draft, other: Draft) -> str:
-    """Say so if one connects to no port where the other one listens."""
+def pair_warnings(mine: Draft, other: Draft) -> Iterator[tuple[str, str]]:
+    """Yield what may be meant otherwise in one file than in another: key, and why."""
     here, there = mine.peers, other.peers
     if None in (here, there) or there.me not in here.names:
-        return ""
-    if None in (here.network, there.network):
-        return ""
+        return
+    file = other.source.path.name
+    yield from _unmet(here.network, there.network, file)
+    parts = {each.name: each.made for each in other.parts}
+    made = {(each.kind, each.name): each.made for each in mine.parts}
+    for kind, name, table in here.remotes.get(there.me, ()):
+        remote = table.get("remote", name)
+        about = made.get((kind, name)), parts.get(remote), there.shares.get(remote)
+        if None not in about and _ACCESS[kind] != "ask":
+            key = f"remote.{there.me}.{kind}.{name}"
+            late = _late_there if kind == "actuator" else _late_here
+            yield from late(key, *about, file, table)
+            if kind == "sensor":
+                yield from _too_old(mine, *about, file)
+
+
+def strangers(mine: Draft, others: Iterable[Draft]) -> Iterator[tuple[str, str]]:
+    """Yield the peers of a file whom none of the others is, if one of these is no peer."""
+    here: Peers | None = mine.peers
+    if here is None:
+        return
+    files = {each.peers.me: each.source.path.name for each in others if each.peers}
+    if left := [name for name in files if name not in here.names]:
+        told = " and ".join(f"{files[name]} is {name!r}" for name in left)
+        for peer in (each for each in here.names if each not in files):
+            shared = (name for name, each in here.shares.items() if peer in each.to)
+            key = f"remote.{peer}" if peer in here.remotes else f"share.{next(shared)}"
+            yield key, f"none of the files is of {peer!r}: {told}"
+
+
+def _unmet(here: Any, there: Any, file: str) -> Iterator[tuple[str, str]]:
+    """Say so if one connects to no port where the other one listens."""
+    if None in (here, there):
+        return
     one, two, three, four = (
         {end.rpartition(":")[2] for end in ends}
-        for network, its in (
-            (here.network, there.network),
-            (there.network, here.network),
-        )
-        for ends in (network.connect, its.listen)
+        for ends in (here.connect, there.listen, there.connect, here.listen)
     )
-    if not (one and two) or one & two or three & four:
-        return ""
-    ports = " and ".join(sorted(two))
-    return f"{other.source.path.name} listens at port {ports}, unless that is forwarded"
+    if one and two and not one & two and not three & four:
+        ports = " and ".join(sorted(two))
+        told = f"{file} listens at port {ports}, unless that is forwarded"
+        yield "network.connect", told
+
+
+def _every(mine: Any, other: Any, share: _Share) -> float:
+    """Return after how many seconds the next reading comes, as far as that is known."""
+    limit: float = min(mine.link_rate, share.rate)
+    is_asked = other.can_be_asked and not other.pushes
+    own: float = 1.0 / other.rate if is_asked else other.period or 0.0
+    return max(own, 1.0 / limit) * (1.0 + 1e-9)
+
+
+def _late_here(
+    key: str, mine: Any, other: Any, share: _Share, file: str, table: dict[str, Any]
+) -> Iterator[tuple[str, str]]:
+    if "link_rate" in table and mine.link_rate > share.rate:
+        told = f"{file} sends {other.name!r} at {share.rate:g} Hz at most"
+        yield f"{key}.link_rate", f"{told}: raise the rate of its share"
+    every = _every(mine, other, share)
+    if mine.period is not None and mine.period <= every:
+        told = f"readings come from {file} every {every:.3g} s only"
+        yield f"{key}.period", f"{told}: it is stale in between"
+
+
+def _too_old(
+    draft: Draft, mine: Any, other: Any, share: _Share, file: str
+) -> Iterator[tuple[str, str]]:
+    every = _every(mine, other, share)
+    for part in draft.parts:
+        needs = getattr(inner_of(part.made), "needs", {}) if part.made else {}
+        for attribute, need in needs.items():
+            age = getattr(need, "max_age", None)
+            if need.resource == mine.name and age is not None and age <= every:
+                told = f"{attribute}: its readings may be {age:.3g} s old at most, but "
+                told += f"come from {file} every {every:.3g} s only"
+                yield part.key, told
+
+
+def _late_there(
+    key: str, mine: Any, other: Any, _: _Share, file: str, _table: dict[str, Any]
+) -> Iterator[tuple[str, str]]:
+    longest = other.command_timeout
+    if is_positive(longest) and mine.command_timeout > longest:
+        told = f"a command is good for {longest:g} s only in {file}"
+        yield f"{key}.command_timeout", f"{told}, not for {mine.command_timeout:g} s"
 
 
 def _misfits(key: str, mine: Any, other: Any, file: str) -> Iterator[tuple[str, str]]:
     if isinstance(other, Behavior):
-        takes = {type_name(each.type) for each in _takes(inner_of(other))}
-        for each in _takes(mine):
-            if takes and type_name(each.type) not in takes:
-                told = f"{other.name!r} takes no {type_name(each.type)} in {file}"
-                yield f"{key}.requests", told
+        declared = declared_requests(type(inner_of(other))).values()
+        takes = {_full_name(each.type) for each in _takes(inner_of(other))}
+        for each in _takes(mine) if len(takes) == len(declared) else ():
+            if (name := _full_name(each.type)) not in takes:
+                yield f"{key}.requests", f"{other.name!r} takes no {name} in {file}"
         return
     wanted, given = mine.value_type, other.value_type
-    if Any not in {wanted, given} and type_name(wanted) != type_name(given):
+    if Any not in {wanted, given} and _full_name(wanted) != _full_name(given):
         flow = "gives" if isinstance(other, Sensor) else "takes"
-        told = f"{other.name!r} {flow} {type_name(given)} in {file}, not "
-        yield f"{key}.type", told + type_name(wanted)
+        told = f"{other.name!r} {flow} {_full_name(given)} in {file}, not "
+        yield f"{key}.type", told + _full_name(wanted)
+
+
+def _full_name(kind: Any) -> str:
+    """Return the name under which a class crosses: the same at both, or nothing does."""
+    if not isinstance(kind, type) or kind.__module__ == "builtins":
+        return type_name(kind)
+    return f"{kind.__module__}:{kind.__qualname__}"
 
 
 def _takes(behavior: Any) -> list[Any]:
