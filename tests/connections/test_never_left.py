@@ -146,3 +146,20 @@ async def test_what_is_given_up_on_its_way_ends_the_motion_that_it_took_over() -
         motor.slow(0.0)
         await motor.until(0.0, timeout=2.0)
         assert low.motor.why().holder is None
+
+
+@pytest.mark.promise("CALL-1", "AC-3")
+async def test_a_write_does_not_wait_for_its_turn_for_ever() -> None:
+    """The one before it is given up in a thread's line, and keeps its place there."""
+    motor, (low, _) = Blocking(), low_and_high("motor")
+    motor.deadline = 0.2
+    async with esair.Robot(resources=[motor], behaviors=[low]) as robot:
+        async with busy(robot):
+            writes = [asyncio.create_task(low.motor.write(n)) for n in (1.0, 2.0)]
+            _, late = await asyncio.wait(writes, timeout=4.0)
+            assert not late
+            for each in writes:
+                with pytest.raises(esair.DriverStuckError, match="got no turn"):
+                    await each
+        await asyncio.sleep(0.05)
+        assert set(motor.done) == {0.0}

@@ -433,6 +433,7 @@ async def test_no_motion_leaves_beside_a_safe_command_that_was_sent_once_more(
 
     class Motor(esair.Actuator[float]):
         safe = 0.0
+        deadline = 5.0
 
         async def write(self, command: float) -> None:
             if command == 2.0:

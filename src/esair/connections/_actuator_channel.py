@@ -591,14 +591,18 @@ class ActuatorChannel(Device):
         halts: int,
         expires: float | None = None,
     ) -> Written[Any] | Refused:
-        current = self.operations.current
+        current, limit = self.operations.current, self.actuator.deadline
         if current is not None and current.call is not None:
+            limit += max(0.0, current.until - self.time())
             right, told = current.registration, rule_of(registration)
             if registration.priority > right.priority:  # that is finished first
                 denied = AccessDeniedError(right.behavior, self.name, OPERATE, told)
                 self.operations.end(denied)
                 self.make_safe(stay=True)
-        sent = await self._waiting.turn(registration, command, hold, halts, expires)
+        waiting = (
+            self._waiting
+        )  # for its turn: not for ever, as what leaves late is old
+        sent = await waiting.turn(registration, command, hold, halts, expires, limit)
         return sent if isinstance(sent, Answer) else await sent
 
     def _look(self) -> None:

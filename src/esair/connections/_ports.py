@@ -374,7 +374,8 @@ class ActuatorPort(Port[T]):
             BadValueError: The command must not be sent; nothing was.
             DeviceLostError: The device is not there.
             DeviceFaultError: The device did not take it.
-            DriverStuckError: The driver did not return in time.
+            DriverStuckError: The driver did not return in time, or the turn of this
+                command did not come in that time.
             ResourceRemovedError: The user took the actuator away.
             NotRegisteredError: The registration was revoked.
             WrongLoopError: It is called in another event loop than the robot's.

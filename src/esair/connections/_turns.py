@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import attrs
 
 from esair.connections._gate import Registration
-from esair.exceptions import BusyError
-from esair.loop import Scheduler, fail, has_come
+from esair.exceptions import BusyError, NoTurnError
+from esair.loop import Deadlines, Scheduler, fail, has_come
 from esair.messages import Refused, Written
 
 if TYPE_CHECKING:
@@ -181,14 +181,17 @@ class WaitingWrites:
         hold: float | None,
         halts: int,
         expires: float | None,
+        limit: float,
     ) -> Sent:
-        """Wait until somebody has said what becomes of a write."""
+        """Wait until somebody has said what becomes of a write, or for a limit in seconds."""
         if len(self._writes) >= WAITING_LIMIT:
             self.turned_away += 1
             raise BusyError(self._name, "number of waiting writes", WAITING_LIMIT)
         turn: asyncio.Future[Sent] = self._loop.create_future()
         write = WaitingWrite(registration, command, hold, halts, expires, turn)
         self._writes.append(write)
+        late = NoTurnError(self._name, "write", limit)
+        deadline = Deadlines.of(self._loop).after(limit, write.end, late)
         try:
             return await turn
         except asyncio.CancelledError:
@@ -199,6 +202,7 @@ class WaitingWrites:
                     call.cancel()
             raise
         finally:
+            deadline.cancel()
             self.remove(write)
 
     def above(self, priority: int) -> Registration | None:
