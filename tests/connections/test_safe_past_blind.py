@@ -98,6 +98,21 @@ async def test_a_driver_that_fails_is_told_to_who_asked(running: Running) -> Non
         await captain.gentle.write(0.0)
 
 
+@pytest.mark.parametrize("seconds", [0.0, 0.05])
+async def test_a_motion_that_it_did_not_end_is_ended_by_its_time_out(
+    running: Running, seconds: float
+) -> None:
+    """The device has not taken what is safe: it moves on, and its dead man knows."""
+    wheels, captain, _ = running
+    assert await captain.strong.write(0.5)
+    wheels.fail(OSError("no acknowledge"))
+    wheels.slow(seconds)
+    with pytest.raises(esair.DeviceFaultError):
+        await captain.gentle.write(0.0)
+    assert wheels.commands[-1] == 0.5
+    await wheels.until(0.0, timeout=0.4)
+
+
 @pytest.mark.promise("ROB-4")
 async def test_a_write_that_waits_is_told_when_a_halt_refuses_it(
     fake_actuator: Any,

@@ -444,10 +444,11 @@ class ActuatorChannel(Device):
             return self._when_idle(registration, command, None, self.gate.halts)
         if wire.watch is not None:
             self._check_watch()
-        if self.stillness.moves:
-            self.stillness.disarm()  # that motion is over, and its time-out with it
+        moved = self.stillness.moves
         guard = self.gate.ticket(registration) if wire.blocks else None
         sent = wire.send(command, registration.behavior, guard)
+        if moved and type(sent) is not Call:  # else nobody knows yet whether it came
+            self.stillness.disarm()  # that motion is over, and its time-out with it
         return self._sent(sent, registration, command, command, None)
 
     def _check_watch(self) -> None:
