@@ -151,6 +151,33 @@ async def test_whatever_arrives_only_counters_move(messages: int) -> None:
 
 
 @pytest.mark.promise("NET-6")
+@pytest.mark.parametrize("serves", [True, False])
+async def test_what_is_asked_for_by_a_huge_name_crashes_nobody(serves: bool) -> None:
+    """The answer has less of it than a message may hold; a list has an end, too."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand) as (base, _):
+        bus = pair.to_rover
+        if not serves:
+            await base.behaviors.remove("rover")
+        for what, part in (
+            ("follow", {bytes(400_000): 1.0}),
+            ("follow", {"x" * 600_000: 1.0}),
+            ("pending", ["x" * 1_048_400]),
+            ("follow", {str(number): 1.0 for number in range(9000)}),
+            ("pending", list(range(19_000))),
+        ):
+            head = Head(bus._its_run, bus._its_beat, bus._run, bus._beats, 0.0)
+            sent = bus.stats.sent
+            data = packed(head, (part,), bus.kinds)
+            pair.network.inject("rover", "base", what, data)
+            await asyncio.sleep(0.02)
+            assert bus.stats.sent - sent < 10
+        if serves:
+            assert base.behaviors.query("rover").restarts == 0
+            assert await hand.wheels.write(Twist(0.2, 0.0))
+
+
+@pytest.mark.promise("NET-6")
 def test_nothing_is_made_of_bytes_that_was_not_declared() -> None:
     """A class that no part of the robot declares is an error, never imported."""
     theirs, mine = Kinds([Twist]), Kinds()

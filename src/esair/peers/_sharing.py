@@ -166,6 +166,7 @@ class Sharing(Behavior):
                 what, since, *parts = await self._orders.get()
                 if what == "follow":
                     self._follow(tasks, parts[0])
+                    await asyncio.sleep(0)  # however many there are: others go on
                 elif what == "ask":
                     self._begin(tasks, since, *parts)
                 elif what == "because":
@@ -175,6 +176,7 @@ class Sharing(Behavior):
                         self._asks[parts[0]].cancel()
                 elif what == "pending":
                     self._compare(parts[0])
+                    await asyncio.sleep(0)
                 elif what == "lost":
                     for task in (*self._feeds.values(), *self._asks.values()):
                         task.cancel()
@@ -268,7 +270,7 @@ class Sharing(Behavior):
             good = type(rate) is float and 0.0 < rate < math.inf
             if share is None or share.access != "read" or not good:
                 told = f"{name!r:.80} is not shared with {self.name!r}"
-                self.bus.say("gone", str(name), told)
+                self.bus.say("gone", f"{name!s:.80}", told)
                 continue
             self._pauses[name] = 1.0 / min(rate, share.rate)
             if name not in self._feeds:

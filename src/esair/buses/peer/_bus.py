@@ -17,7 +17,15 @@ from typing import Any, NamedTuple, Protocol
 
 from esair.buses._bus import Bus
 from esair.buses._inbox import Inbox, within
-from esair.buses.peer._wire import FOR_OWNER, FORMS, Head, head_of, packed, parts_of
+from esair.buses.peer._wire import (
+    FOR_OWNER,
+    FORMS,
+    LISTED,
+    Head,
+    head_of,
+    packed,
+    parts_of,
+)
 from esair.codec import CodecError, Kinds, declared
 from esair.exceptions import (
     BadValueError,
@@ -344,9 +352,9 @@ class PeerBus(Bus):
         parts, told = self.parts(what, body), f"{self.network.me!r} shares nothing now"
         if parts is not None and what == "follow":
             for name in parts[0]:
-                self.say("gone", str(name), told)
+                self.say("gone", f"{name!s:.80}", told)
         elif parts is not None and what == "pending":
-            for number in parts[0]:
+            for number in (each for each in parts[0] if type(each) is int):
                 self.say("answer", number, "lost", told)
         elif parts is not None and what not in {"because", "cancel"}:
             self.say("answer", parts[0], "declined" if what == "ask" else "lost", told)
@@ -472,7 +480,13 @@ class PeerBus(Bus):
             del self._pending[number]
 
     def follow(self, sensor: str, rate: float) -> Inbox[Any]:
-        """Ask for the readings of a sensor, until the inbox is closed."""
+        """Ask for the readings of a sensor, until the inbox is closed.
+
+        Raises:
+            BusyError: Too many are asked for.
+        """
+        if len({sensor, *self._wanted()}) > LISTED:
+            raise BusyError(self.name, "number of sensors of a peer", LISTED)
         inbox: Inbox[Any] = Inbox(_READINGS, lambda it: self._followed.pop(it, None))
         if sensor not in self._wanted():
             self._heard.pop(sensor, None)

@@ -19,6 +19,9 @@ LIMIT: Final = 1 << 20
 ITEMS: Final = 20_000
 """How many items: it is read in one piece, and that may take 10 ms."""
 
+LISTED: Final = 256
+"""How many sensors, or requests, a message may list: each may be answered."""
+
 _HEAD: Final = struct.Struct("<QQQQd")
 
 FORMS: Final[Mapping[str, tuple[Any, ...]]] = {
@@ -99,6 +102,8 @@ def parts_of(what: str, body: bytes, kinds: Kinds) -> tuple[Any, ...]:
     for part, kind in zip(parts, form, strict=True):
         if kind is not object and type(part) is not kind:
             raise CodecError(f"expected {kind.__name__}, not {type(part).__name__}")
+        if kind in {dict, list} and len(part) > LISTED:
+            raise CodecError(f"expected at most {LISTED}, not {len(part)}")
         if kind is float and not 0.0 <= part < math.inf:
             raise CodecError(f"expected seconds, not {part}")
     return parts
