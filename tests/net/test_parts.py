@@ -72,6 +72,27 @@ async def test_a_remote_sensor_with_two_names_is_live_under_both() -> None:
         assert await hand.sonar.read() == 50.0
 
 
+@pytest.mark.promise("NET-2")
+async def test_a_second_name_need_not_wait_for_a_slow_first_one() -> None:
+    """It is sent as often as the second wants it from then on, not after a long pause."""
+    pair, hand = Pair(), Hand()
+    slow, fast = (
+        PeerSensor(
+            name=name, remote="sonar", bus=pair.to_base, type=float, link_rate=rate
+        )
+        for name, rate in (("slow", 0.05), ("far_sonar", 100.0))
+    )
+    async with pair.base(), pair.rover(hand, resources=[slow]) as rover:
+        await rover.resources.remove("far_sonar")
+        await asyncio.sleep(2.0)
+        await rover.resources.add(fast)
+        await asyncio.sleep(0.3)
+        for step in range(20):
+            pair.sonar.feed(float(step))
+            await asyncio.sleep(0.05)
+            assert await hand.sonar.read() == step
+
+
 @pytest.mark.promise("SUP-2", "NET-2")
 async def test_what_a_peer_may_do_is_exchanged_while_it_does_it() -> None:
     """Who stands for the peer then serves it: it reads, writes and asks as before."""

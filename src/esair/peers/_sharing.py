@@ -290,7 +290,10 @@ class Sharing(Behavior):
                 self._send(name, port.newest)
             async for _ in port:
                 self._send(name, port.newest)
-                await asyncio.sleep(self._pauses[name])
+                waited = 0.0
+                while (left := self._pauses[name] - waited) > 0.0:
+                    waited += (some := min(left, _LOOK))
+                    await asyncio.sleep(some)  # meanwhile it may be wanted more often
         except EsairError as error:
             self.bus.say("gone", name, describe(error))
             self._feeds.pop(name, None)
