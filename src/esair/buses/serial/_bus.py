@@ -31,7 +31,7 @@ from esair.exceptions import (
     hint_for,
 )
 from esair.framing import FRAMINGS, Cobs, Framing, Lines
-from esair.loop import Arrivals
+from esair.loop import SAFE, Arrivals, urgency
 from esair.values import (
     check_bytes,
     check_choice,
@@ -174,6 +174,8 @@ class SerialBus(Bus):
         self._bad_in_row = 0
         self._is_cut = False
         """Whether only the beginning of the message before was sent."""
+        self._since_safe = 0
+        """How many bytes were written since what makes an actuator safe: that is kept."""
         self._exchanges = Exchanges(self, late_limit=late_limit)
 
     @property
@@ -268,6 +270,9 @@ class SerialBus(Bus):
             if len(self._echo) > ECHO_LIMIT:  # there is none
                 self._echo = b""
                 self.stats.bad_frames += 1
+        self._since_safe += len(data)
+        if urgency.get().level >= SAFE:
+            self._since_safe = 0
         if request is not None:
             request.begin()
         if not line.write(data):
@@ -332,7 +337,7 @@ class SerialBus(Bus):
             stuck = self.failed(DriverStuckError(self.name, "write", seconds))
             self._discard(line, stuck)
             port = self._open_device
-            if port is not None and (held := port.throw_away()):
+            if port is not None and (held := port.throw_away(self._since_safe)):
                 self.stats.discarded += held
                 self._is_cut, self._echo = True, b""
             raise stuck from None
@@ -351,6 +356,7 @@ class SerialBus(Bus):
         line.settle(error)  # first: the link tells who waits then that all is sent
         link.flush()
         gone = waiting - link.get_write_buffer_size()
+        self._since_safe -= gone
         self.stats.discarded += gone
         self._echo = self._echo[: max(0, len(self._echo) - gone)]
 

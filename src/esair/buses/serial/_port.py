@@ -336,15 +336,18 @@ class Port:
     def flush(self) -> None:
         """Do not wait: `shut` does it, in a thread and for a limited time."""
 
-    def throw_away(self) -> int:
-        """Throw away what the kernel has taken and not sent; return how many bytes."""
-        held = 0
+    def throw_away(self, most: int) -> int:
+        """Throw away what the kernel has taken and not sent, unless that is too much.
+
+        Returns how many bytes were thrown away.
+        """
         if self._is_terminal:
             with contextlib.suppress(OSError, termios.error):
                 held = int(self.device.out_waiting)
-                if held:
+                if 0 < held <= most:
                     self.device.reset_output_buffer()
-        return held
+                    return held
+        return 0
 
     def close(self) -> None:
         """Leave the closing, which can block, to `shut`."""
