@@ -22,6 +22,8 @@ from esair.drivers.pca9685 import PwmChannel
 from esair.drivers.pca9685.servo import PwmServo
 from esair.drivers.rplidar import RpLidar
 from esair.drivers.servo import Goal, Mode, Servo, ServoBus, ServoPosition
+from esair.drivers.servo.feetech import FeetechBus
+from esair.drivers.servo.turning import ServoVelocity
 from esair.exceptions import BadValueError, ConfigError
 from esair.testing import FakeSerial
 
@@ -29,6 +31,7 @@ LINES, RAW = FakeSerial("lines"), FakeSerial("raw", framing="raw")
 NMEA = FakeSerial("gps", framing="nmea")
 RTU = FakeSerial("plc", framing="modbus-rtu")
 ARM = ServoBus(name="arm", wire=Wire())
+FEETECH = FeetechBus(name="arm", wire=Wire())
 GOES: dict[type, dict[str, Any]] = {
     DigitalInput: {"chip": "fake", "line": 3},
     DigitalOutput: {"chip": "fake", "line": 3},
@@ -44,6 +47,7 @@ GOES: dict[type, dict[str, Any]] = {
     PwmServo: {"channel": 0},
     Servo: {"bus": ARM, "safe": Goal(mode=Mode.RELEASE)},
     ServoPosition: {"bus": ARM},
+    ServoVelocity: {"bus": FEETECH},
 }
 """What goes, but for the mistake."""
 
@@ -115,6 +119,11 @@ GOES: dict[type, dict[str, Any]] = {
         *((ServoPosition, {"id": n}, "id: expected 0 to 252") for n in (-1, 253, "1")),
         (ServoPosition, {"id": True}, "id: expected 0 to 252"),
         (Servo, {"bus": None}, "bus: expected a ServoBus"),
+        (Servo, {"limits": (-10, 10)}, "limits: a servo allows -3.14"),
+        (Servo, {"bus": FEETECH, "limits": (0, 60)}, "limits: a servo allows -47"),
+        (ServoVelocity, {"limits": (-1e9, 6)}, "limits: a servo allows"),
+        (Drive, {"factor": 0.001, "limits": (0, 3e6)}, "limits: its factor allows"),
+        (Drive, {"limits": 3}, "limits: expected"),
         (ServoBus, {"name": "arm"}, "port: expected the path of a device file"),
     ],
 )

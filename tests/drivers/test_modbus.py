@@ -166,6 +166,20 @@ async def test_values_are_read_and_told_in_their_type(framing: str) -> None:
     await line.close()
 
 
+@pytest.mark.promise("AC-1")
+@pytest.mark.parametrize("kind", ["int16", "uint32", "int64", "uint64", "float32"])
+@pytest.mark.parametrize("factor", [1.0, 0.1, -3.0])
+async def test_both_ends_of_its_limits_can_be_told(kind: Any, factor: float) -> None:
+    """Of 64 bits no float is the greatest number: the next one is more."""
+    line = FakeSerial("plc", framing=RTU)
+    FakeModbus(line, dict.fromkeys(range(4), 0))
+    device = ModbusActuator(register=0, type=kind, factor=factor, safe=0, bus=line)
+    await line.open()
+    for end in device.limits:
+        await device.write(end)
+    await line.close()
+
+
 @pytest.mark.fault("D26")
 async def test_a_refusal_is_a_fault_and_a_stranger_is_no_answer() -> None:
     """In words; another unit's answer, or one of the wrong size, is not taken."""

@@ -34,9 +34,13 @@ def described(
 
 
 def narrowed(
-    component: str, field: str, given: Any, allowed: tuple[float, float] | None
+    component: str,
+    field: str,
+    given: Any,
+    allowed: tuple[float, float] | None,
+    by: str = "the file",
 ) -> tuple[float, float]:
-    """Return limits that are within those of a file, if it has any.
+    """Return limits that are within those of a file, or of a part, if it has any.
 
     Raises:
         ConfigError: They are not, or are no limits.
@@ -50,7 +54,7 @@ def narrowed(
         wrong = f"expected (least, greatest), not {given!r:.80}"
         raise ConfigError(component, field, wrong)
     if allowed is not None and not (allowed[0] <= low and high <= allowed[1]):
-        wrong = f"the file allows {allowed[0]:g} to {allowed[1]:g}, not {given!r:.80}"
+        wrong = f"{by} allows {allowed[0]:g} to {allowed[1]:g}, not {given!r:.80}"
         raise ConfigError(component, field, wrong)
     return low, high
 

@@ -47,6 +47,7 @@ from canopen.profiles.p402 import State402
 from canopen.sdo.exceptions import SdoAbortedError
 
 from esair.buses import CanBus, Frame, Inbox
+from esair.drivers._files import narrowed
 from esair.drivers._on_bus import (
     SharedTask,
     ended,
@@ -346,7 +347,11 @@ class DriveActuator(OnDrive):
             raise ConfigError(self.name, "factor", "expected a factor that is not 0")
         self.factor = factor
         largest = abs(factor) * (2**31 - 1)
-        self._allowed = (-largest, largest) if limits is None else limits
+        self._allowed = -largest, largest
+        if limits is not None:
+            self._allowed = narrowed(
+                self.name, "limits", limits, self._allowed, by="its factor"
+            )
         self.claim: str = f"the drive of node {self.node}"
         self.stop = check_choice(self.name, "stop", stop, ("quick_stop", "halt"))
         self.state: State | None = None

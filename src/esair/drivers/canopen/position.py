@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from typing import Unpack
 
 import attrs
@@ -45,10 +44,8 @@ class PositionDrive(DriveActuator, Actuator[Move]):
     def __init__(self, **settings: Unpack[DriveActuatorSettings]) -> None:
         super().__init__(**settings)
         self.limits: dict[str, tuple[float, float]] = {"position": self._allowed}
-        self.safe: Move = Move(stop=True)
-        with contextlib.suppress(TypeError, ValueError):  # the start says what is wrong
-            low, high = self._allowed
-            self.safe = Move(min(max(low, 0.0), high), stop=True)
+        low, high = self._allowed
+        self.safe: Move = Move(min(max(low, 0.0), high), stop=True)
 
     async def write(self, command: Move) -> None:
         """Tell the drive where to go, and enable it; or stop it."""

@@ -316,9 +316,12 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
     def _request(self, command: Any) -> ModbusPDU:
         if self.is_bit:
             return WriteSingleCoilRequest(address=self.register, bits=[bool(command)])
-        number = command / self.factor
+        number: Any = command / self.factor
+        if not self.kind.startswith("float"):
+            least, most = self._range()  # of 64 bits no float is the greatest
+            number = min(max(least, round(number)), most)
         registers = ModbusClientMixin.convert_to_registers(
-            number if self.kind.startswith("float") else round(number),
+            number,
             self._type,
             word_order=self.word_order,
         )
@@ -328,14 +331,17 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
         request: ModbusPDU = make(address=self.register, registers=registers)
         return request
 
+    def _range(self) -> tuple[int, int]:
+        """Return what the whole numbers of its type are."""
+        bits = 16 * self._size
+        signed = self.kind.startswith("int")
+        return -(1 << bits - 1) if signed else 0, (1 << bits - signed) - 1
+
     def _bounds(self) -> tuple[float, float]:
         if self.kind.startswith("float"):
             most = 3.4e38 if self.kind == "float32" else 1.7e308
             least = -most
         else:
-            bits = 16 * self._size
-            signed = self.kind.startswith("int")
-            most = float((1 << bits - signed) - 1)
-            least = -float(1 << bits - 1) if signed else 0.0
+            least, most = map(float, self._range())
         low, high = sorted((least * self.factor, most * self.factor))
         return low, high

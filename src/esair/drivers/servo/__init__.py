@@ -28,6 +28,7 @@ from typing import Any, Final, TypeVar, Unpack
 
 import attrs
 
+from esair.drivers._files import narrowed
 from esair.drivers._on_bus import check_bus
 from esair.drivers.servo._bus import (
     HARDWARE_ERROR,
@@ -264,7 +265,11 @@ class Servo(Torqued[Goal]):
         super().__init__(**settings)
         self.safe = safe
         self._told_speed: int | None = None
-        self.limits = {"angle": tuple(limits)}  # type: ignore[dict-item]
+        turns = self.bus.table.goal.has_sign_bit  # it may go on for some of them
+        most = to_angle(0x7FFF) if turns else math.pi
+        low, high = narrowed(self.name, "limits", limits, (-most, most), by="a servo")
+        high = min(high, most if turns else to_angle(STEPS - 1))
+        self.limits = {"angle": (low, high)}
 
     def safe_frames(self) -> SafeFrames | None:
         """No torque; None if it has to hold, for which its place must be asked first."""

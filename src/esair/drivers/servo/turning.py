@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from typing import Unpack
 
+from esair.drivers._files import narrowed
 from esair.drivers.servo import CURRENT, VELOCITY, Torqued, TorquedSettings
 from esair.drivers.servo._bus import Entry
 from esair.exceptions import ConfigError
@@ -67,8 +68,11 @@ class ServoVelocity(_Turned):
         **settings: Unpack[TorquedSettings],
     ) -> None:
         super().__init__(**settings)
-        self.limits: tuple[float, float] = limits
         self._entry = self.bus.table.velocity
+        steps = (1 << 8 * self._entry.size - 1) - 1
+        most = steps * self.bus.table.velocity_unit
+        within = narrowed(self.name, "limits", limits, (-most, most), by="a servo")
+        self.limits: tuple[float, float] = within
 
     def _units(self, command: float) -> int:
         return round(command / self.bus.table.velocity_unit)
