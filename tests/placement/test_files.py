@@ -89,3 +89,40 @@ def test_a_program_of_a_package_imports_what_is_beside_it(
         check=False,
     )
     assert "at 0.5" in ended.stdout, ended.stderr
+
+
+ASSERTS = """
+import esair
+
+
+class Drive(esair.Behavior):
+    placement = "process"
+
+    async def run(self):
+        assert False, "it is checked"
+        await self.stop_robot("all well")
+
+
+if __name__ == "__main__":
+    robot = esair.Robot(behaviors=[Drive()])
+    esair.run(robot, duration=30.0)
+    print(robot.stopped.reason, robot.behaviors.query("drive").error)
+"""
+
+
+@pytest.mark.promise("PLC-1")
+def test_a_process_runs_as_the_robot_does(tmp_path: Path) -> None:
+    """With the flags of Python, and with nothing of the folder where it was started."""
+    script = tmp_path / "program" / "script.py"
+    script.parent.mkdir()
+    script.write_text(ASSERTS)
+    (tmp_path / "socket.py").write_text("raise SystemExit('of another program')\n")
+    ended = subprocess.run(
+        [sys.executable, "-O", str(script)],
+        capture_output=True,
+        cwd=tmp_path,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert "all well None" in ended.stdout, ended.stderr

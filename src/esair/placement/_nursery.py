@@ -60,8 +60,8 @@ class Nursery:
             self._process = subprocess.Popen(
                 [
                     sys.executable,
-                    "-m",
-                    "esair.placement._nursery",
+                    *_flags(),
+                    *("-P", "-m", "esair.placement._nursery"),
                     *map(str, (its.fileno(), me)),
                     *(each for each in sys.modules if each.startswith("esair.")),
                 ],
@@ -140,6 +140,12 @@ class Nursery:
                 socket.send_fds(self._control, [b"c"], given)
             failed.pop_all()
             return Ends(wire, words, status)
+
+
+def _flags() -> list[str]:
+    """Return with which flags Python runs; what they hide of the path is given anew."""
+    flags = subprocess._args_from_interpreter_flags()  # type: ignore[attr-defined] # noqa: SLF001 - as multiprocessing does
+    return [each for each in flags if each not in {"-I", "-E"}]
 
 
 def told_end(code: int | None) -> str:
