@@ -37,13 +37,13 @@ class Sonar(esair.Sensor[float]):
 
 
 class Compass(esair.Sensor[float]):
-    """Blocks a thread."""
+    """Blocks a thread, and tells how old what it gives is."""
 
     rate = 25.0
 
-    def read(self) -> float:  # type: ignore[override]
+    def read(self) -> Any:
         time.sleep(random.choice([0.0, 0.001, 0.004]))
-        return random.random()
+        return esair.Stamped(random.random(), age=0.002)
 
 
 class Bumper(esair.Sensor[bool]):
