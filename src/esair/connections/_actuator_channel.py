@@ -600,10 +600,10 @@ class ActuatorChannel(Device):
                 denied = AccessDeniedError(right.behavior, self.name, OPERATE, told)
                 self.operations.end(denied)
                 self.make_safe(stay=True)
-        waiting = (
-            self._waiting
-        )  # for its turn: not for ever, as what leaves late is old
-        sent = await waiting.turn(registration, command, hold, halts, expires, limit)
+        # Not for ever: what leaves late is old.
+        sent = await self._waiting.turn(
+            registration, command, hold, halts, expires, limit
+        )
         return sent if isinstance(sent, Answer) else await sent
 
     def _look(self) -> None:
