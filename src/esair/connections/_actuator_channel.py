@@ -492,11 +492,12 @@ class ActuatorChannel(Device):
         elif call.cancelled:
             wire.unknown()
         elif type(wire.failed(end.error, "write")) is not NoTurnError:
-            is_over = True  # the device was asked, and is looked after
+            is_over = call.owner is not None  # who wrote hears of it, and no guard does
         if not (is_over or self.safe.state or self.safe.overtaken(call)):
             if isinstance(end.error, CallRefused):
                 wire.told.command = wire.told.base
-            self.make_safe()  # what it took over is nobody's any more
+            # What it took over is nobody's any more.
+            self.make_safe(stay=call.owner is None)
         if call.ended is not None:  # else its driver still has the device
             self._lane_free(call)
 

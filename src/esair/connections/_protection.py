@@ -518,8 +518,9 @@ class Stillness:
         guard = gate.ticket(None, None, numbers) if wire.blocks else None
         try:
             sent = wire.send(less, "", guard)
-        except EsairError:
-            return  # it is told to those who look after the device
+        except EsairError:  # it is told to those who look after the device
+            self._safe.make(stay=True)  # what stands is more than they let pass
+            return
         if type(sent) is Call:
             sent.apply = apply
         else:

@@ -1,0 +1,43 @@
+"""What a guard leaves of a standing command, and the device does not take."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+import esair
+from esair.testing import FakeActuator, FakeSensor
+
+pytestmark = pytest.mark.virtual_clock
+
+
+class Cap(esair.Reaction):
+    """Lets as much pass as its sensor says."""
+
+    cap = esair.reads(float)
+    wheels = esair.guards(float)
+
+    def react(self, cap: float, wheels: float) -> float:
+        return min(cap, wheels)
+
+
+@pytest.mark.promise("PRO-8")
+@pytest.mark.parametrize("seconds", [0.0, 0.01])
+@pytest.mark.parametrize("left", [0.2, 0.0])
+async def test_what_does_not_take_less_is_made_safe(
+    left: float, seconds: float
+) -> None:
+    """Else more than a guard lets pass would stand until somebody writes."""
+    wheels = FakeActuator("wheels", safe=0.0, command_timeout=60.0)
+    cap = FakeSensor("cap", 9.0)
+    user: Any = esair.Behavior(name="user", writes={"wheels": esair.writes(float)})
+    async with esair.Robot(resources=[wheels, cap], behaviors=[user, Cap()]):
+        assert await user.wheels.write(1.0)
+        wheels.fail(ValueError("checksum"))
+        wheels.slow(seconds)
+        cap.feed(left)
+        await asyncio.sleep(0.5)
+        assert wheels.commands == [0.0, 1.0, 0.0]
+        assert (await user.wheels.write(1.0)).command == left
