@@ -41,3 +41,36 @@ async def test_what_does_not_take_less_is_made_safe(
         await asyncio.sleep(0.5)
         assert wheels.commands == [0.0, 1.0, 0.0]
         assert (await user.wheels.write(1.0)).command == left
+
+
+class Stop(esair.Reaction):
+    """Keeps still what it cannot see."""
+
+    cap = esair.reads(float)
+    wheels = esair.writes(float, priority=9)
+
+    def react(self, cap: float) -> None:
+        return None
+
+
+@pytest.mark.promise("PRO-1", "PRO-5")
+@pytest.mark.parametrize("sees", [Stop, Cap])
+@pytest.mark.parametrize("seconds", [0.0, 0.05])
+async def test_a_stop_that_was_not_taken_is_no_standstill(
+    sees: Any, seconds: float
+) -> None:
+    """Who is blind then, or has become so meanwhile, has it made safe, as any motion."""
+    wheels = FakeActuator("wheels", safe=0.0, command_timeout=60.0)
+    cap = FakeSensor("cap", 9.0)
+    user: Any = esair.Behavior(name="user", writes={"wheels": esair.writes(float)})
+    async with esair.Robot(resources=[wheels, cap], behaviors=[user, sees()]):
+        assert await user.wheels.write(1.0)
+        wheels.fail(ValueError("checksum"))
+        wheels.slow(seconds)
+        stopping = asyncio.create_task(user.wheels.write(0.0))
+        await asyncio.sleep(seconds / 2)
+        cap.unplug()
+        with pytest.raises(esair.DeviceFaultError):
+            await stopping
+        await asyncio.sleep(0.5)
+        assert wheels.commands == [0.0, 1.0, 0.0]

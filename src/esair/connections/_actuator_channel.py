@@ -493,6 +493,7 @@ class ActuatorChannel(Device):
             wire.unknown()
         elif type(wire.failed(end.error, "write")) is not NoTurnError:
             is_over = call.owner is not None  # who wrote hears of it, and no guard does
+            self.keep_still()
         if not (is_over or self.safe.state or self.safe.overtaken(call)):
             if isinstance(end.error, CallRefused):
                 wire.told.command = wire.told.base

@@ -18,7 +18,7 @@ import attrs
 from esair.connections._calls import Apply, Call
 from esair.connections._gate import Gate, Hold, verdict
 from esair.connections._values import is_opaque, is_same, is_weaker, weaker_of
-from esair.connections._wire import SafeCommand, Wire
+from esair.connections._wire import NOT_YET, SafeCommand, Wire
 from esair.exceptions import BadValueError, EsairError, describe
 from esair.loop import (
     NEVER,
@@ -458,7 +458,8 @@ class Stillness:
             and not told.is_safe
             and told.command is not HOLD
             and self._safe.state is None
-            and not self.is_still(told.command)
+            # Also where a command that is still was not taken.
+            and (not self.is_still(told.command) or told.error not in ("", NOT_YET))
         )
 
     def keep_still(self) -> None:
