@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 import esair
+from esair.loop import Executor
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.real_clock
@@ -163,3 +164,40 @@ async def test_a_write_does_not_wait_for_its_turn_for_ever() -> None:
                     await each
         await asyncio.sleep(0.05)
         assert set(motor.done) == {0.0}
+
+
+class Patient(Blocking):
+    """Waits for its turn on a line by itself, in the loop."""
+
+    async def write(self, command: float) -> None:  # type: ignore[override]
+        await self._line.call(self.done.append, command, timeout=5.0)
+
+    @property
+    def _line(self) -> Executor:
+        if not hasattr(self, "line"):
+            self.line = Executor("line")
+        return self.line
+
+
+@pytest.mark.promise("CALL-1", "CALL-2")
+@pytest.mark.parametrize("way", ["safe", "cancelled", "late"])
+async def test_what_is_given_up_in_a_line_is_never_begun(way: str) -> None:
+    """Also where a driver waits for its turn by itself: its caller was told so."""
+    motor, (low, _), go = Patient(), low_and_high("motor"), threading.Event()
+    motor.deadline = 0.2 if way == "late" else 5.0
+    async with esair.Robot(resources=[motor], behaviors=[low]) as robot:
+        other = asyncio.create_task(motor.line.call(go.wait, timeout=5.0))
+        await asyncio.sleep(0.02)
+        writing = asyncio.create_task(low.motor.write(1.0))
+        await asyncio.sleep(0.02)
+        if way == "safe":
+            robot.actuators.channels["motor"].make_safe()
+        elif way == "cancelled":
+            writing.cancel()
+        await asyncio.wait({writing}, timeout=4.0)
+        go.set()
+        await other
+        await told(motor.done, 2)
+        assert writing.done()
+    motor.line.close()
+    assert set(motor.done) == {0.0}

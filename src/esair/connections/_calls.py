@@ -47,6 +47,7 @@ from esair.loop import (
     clock_of,
     current_task_of,
     current_tasks,
+    leave_line,
     waits_in_line,
     wake,
 )
@@ -245,13 +246,22 @@ class Call:
     def cancel(self) -> None:
         """Ask the driver to end it; a thread cannot be asked."""
         self.cancelled = True
-        if self.engine is not None:
-            self.engine.cancel()
+        self.stop()
 
     def withdraw(self) -> None:
         """Have it refused if it still waits for a turn, which another can have."""
         if self.engine is not None and waits_in_line(self.engine):
             self.withdrawn = True
+            self.stop()
+
+    def stop(self) -> None:
+        """Ask the driver to end it; what waits in a line then is never begun.
+
+        But for what makes safe, or closes: that goes on, whoever waits for it.
+        """
+        if self.kind not in {"safe", "close"}:
+            leave_line(self.engine)
+        if self.engine is not None:
             self.engine.cancel()
 
     def wake(self) -> None:
@@ -596,8 +606,7 @@ class Calls:
             self._deadlines.after(UNWIND, self._give_up, call)
         self._tell(call, End(None, error), current=current)
         self._rest()
-        if call.engine is not None:
-            call.engine.cancel()
+        call.stop()
 
     def _give_up(self, call: Call) -> None:
         begun = not waits_in_line(call.engine)

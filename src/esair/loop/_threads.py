@@ -128,6 +128,14 @@ class InLine(asyncio.Future[T]):
     begun: float | None = None
     """When its turn came, on the loop's clock; None while it waits for that."""
     ended: float | None = None
+    wanted: bool = True
+
+
+def leave_line(engine: object) -> None:
+    """Have what drives a call not begin what it waits for, if that waits for its turn."""
+    waits_for = getattr(engine, "_fut_waiter", None)
+    if isinstance(waits_for, InLine):
+        waits_for.wanted = False
 
 
 def waits_in_line(engine: object, seconds: float = math.inf) -> bool:
@@ -465,7 +473,8 @@ def _work(line: Line, results: Results) -> None:
         result: Any = None
         error: BaseException | None = None
         try:
-            if call.guard is not None and (call.future.done() or not call.guard()):
+            guard, wanted = call.guard, getattr(call.future, "wanted", True)
+            if not wanted or (guard and (call.future.done() or not guard())):
                 error = CallRefused()
             else:
                 call.future.begun = results.time()
