@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from typing import Any
 
 import pytest
 from tests.net.parts import STILL, Dock, Docked, Hand, Pair, Twist
@@ -91,6 +92,34 @@ async def test_a_second_name_need_not_wait_for_a_slow_first_one() -> None:
             pair.sonar.feed(float(step))
             await asyncio.sleep(0.05)
             assert await hand.sonar.read() == step
+
+
+@pytest.mark.promise("NET-2")
+@pytest.mark.parametrize("rate", [20, 20.0])
+async def test_a_rate_may_be_a_whole_number(rate: float) -> None:
+    """In a script it is what a person writes; its owner takes it from others, too."""
+    pair = Pair()
+    for name in ("whole", "far_sonar"):
+        sensor = PeerSensor(
+            name=name, remote="sonar", bus=pair.to_base, type=float, link_rate=rate
+        )
+        assert type(sensor.link_rate) is float
+    sensor.link_rate = rate
+    async with pair.base(), pair.rover() as rover:
+        await rover.resources.remove("far_sonar")
+        await rover.resources.add(sensor)
+        await asyncio.sleep(0.5)
+        state = rover.resources.query("far_sonar").state
+        assert state is esair.ResourceState.READY
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"access": "reed"}, {"access": "read", "rate": "often"}, {"rate": True}]
+)
+def test_a_share_of_another_kind_is_no_share(wrong: dict[str, Any]) -> None:
+    """It would share nothing, without a word."""
+    with pytest.raises(esair.ConfigError, match="expected"):
+        Share("sonar", **{"access": "read", **wrong})
 
 
 @pytest.mark.promise("SUP-2", "NET-2")

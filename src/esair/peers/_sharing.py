@@ -35,6 +35,7 @@ from esair.loop import News, now
 from esair.messages import Refused, ResourceState
 from esair.peers._behavior import NEAREST, made_for
 from esair.resources import HOLD
+from esair.values import is_positive
 
 _WAITING: Final = 4
 """How many commands of a peer may wait for one actuator."""
@@ -78,7 +79,10 @@ class Share:
     rate: float = 20.0
 
     def __attrs_post_init__(self) -> None:
-        if not 0.0 < self.rate <= 1000.0:
+        if self.access not in (known := ("read", "write", "ask")):
+            told = f"expected one of {known}, not {self.access!r:.80}"
+            raise ConfigError(self.name, "access", told)
+        if not is_positive(self.rate) or self.rate > 1000.0:
             told = f"expected more than 0 and at most 1000 Hz, not {self.rate!r:.80}"
             raise ConfigError(self.name, "rate", told)
 
@@ -267,8 +271,7 @@ class Sharing(Behavior):
                 del self._feeds[name]
         for name, rate in wanted.items():
             share = self.shares.get(name)
-            good = type(rate) is float and 0.0 < rate < math.inf
-            if share is None or share.access != "read" or not good:
+            if share is None or share.access != "read" or not is_positive(rate):
                 told = f"{name!r:.80} is not shared with {self.name!r}"
                 self.bus.say("gone", f"{name!s:.80}", told)
                 continue

@@ -32,7 +32,7 @@ from esair.flaws import unsound
 from esair.loop import clock_of
 from esair.messages import Refused
 from esair.resources import HOLD, Actuator, ActuatorSettings, Sensor, SensorSettings
-from esair.values import fits
+from esair.values import fits, is_positive
 
 __all__ = ["Peer", "PeerActuator", "PeerSensor", "PeerStatus"]
 
@@ -124,10 +124,10 @@ class PeerSensor(Sensor[Any]):
         super().__init__(**settings)
         self._type = _type_of(self, type)
         self.remote: str = remote or self.name
-        if not 0.0 < link_rate <= 1000.0:
+        if not is_positive(link_rate) or link_rate > 1000.0:
             told = f"expected more than 0 and at most 1000 Hz, not {link_rate!r:.80}"
             raise ConfigError(self.name, "link_rate", told)
-        self.link_rate = link_rate
+        self.link_rate = float(link_rate)
         self._inbox: Inbox[Any] | None = None
         self._first: Any = None
 
