@@ -20,6 +20,7 @@ from tests.net.parts import Dock, Docking, Hand, Pair, Twist, free_port
 
 import esair
 from esair.buses.peer import Network, PeerBus, Tls, _line
+from esair.drivers.peer import PeerSensor
 
 pytest.importorskip("zenoh")
 pytestmark = [pytest.mark.real_clock, pytest.mark.xdist_group("zenoh")]
@@ -99,6 +100,23 @@ async def test_who_opens_the_network_has_it() -> None:
     send = await network.join(bus)
     send("beat", b"")
     await network.leave(bus)
+
+
+@pytest.mark.promise("RS-8", "NET-2")
+async def test_a_second_bus_to_a_peer_is_a_mistake_that_hurts_nobody() -> None:
+    """It would take away what the first one hears, and lose all parts of the peer."""
+    pair, hand = on_tcp(), Hand()
+    async with pair.base(), pair.rover(hand) as rover:
+        await use(pair, hand, rover)
+        other = PeerBus(name="base", network=pair.to_base.network)
+        again = PeerSensor(name="again", remote="sonar", bus=other, type=float)
+        with pytest.raises(esair.ConfigError, match="give that to all its parts"):
+            await other.open()
+        with contextlib.suppress(esair.EsairError):
+            await rover.resources.add(again)
+        await asyncio.sleep(0.5)
+        await use(pair, hand, rover)
+        assert rover.resources.query("base").losses == 0
 
 
 @pytest.mark.promise("NET-3")

@@ -300,10 +300,13 @@ class Network:
         """Open the network, unless it is open, and hear what the peer of a bus says.
 
         Raises:
-            ConfigError: zenoh is not installed.
+            ConfigError: zenoh is not installed; there is another bus to this peer.
             DeviceLostError: The network cannot be had: a port is in use.
         """
-        loop = asyncio.get_running_loop()
+        loop, other = asyncio.get_running_loop(), self._users.get(bus.name)
+        if other is not None and other.bus is not bus:
+            told = "the robot has a bus to it already: give that to all its parts"
+            raise ConfigError(bus.name, "network", told)
         self._users[bus.name] = peer = _Peer(bus)
         if self._session is None and self._opening is None:
             if self.insecure and self.tls is None:
