@@ -222,6 +222,25 @@ async def test_what_was_decided_before_the_gap_was_noticed_is_refused() -> None:
 
 
 @pytest.mark.promise("NET-4")
+async def test_what_was_sent_before_the_owner_slept_moves_nothing() -> None:
+    """Its clock stood still meanwhile: what the network kept seems to be of just now."""
+    pair, hand, loop = Pair(), Hand(), asyncio.get_running_loop()
+    async with pair.both(hand):
+        assert await hand.wheels.write(Twist(0.1, 0.0))
+        pair.network.cut("base", keep=True)
+        writing = asyncio.ensure_future(hand.wheels.write(Twist(0.2, 0.0)))
+        await asyncio.sleep(0.02)
+        loop.suspend(3600.0)  # type: ignore[attr-defined]
+        await asyncio.sleep(0.01)
+        pair.network.heal()
+        await asyncio.sleep(0.2)
+        assert Twist(0.2, 0.0) not in pair.wheels.commands
+        assert not await writing
+        await asyncio.sleep(0.5)
+        assert await hand.wheels.write(Twist(0.3, 0.0))
+
+
+@pytest.mark.promise("NET-4")
 async def test_the_owner_was_stopped_amid_a_turn(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

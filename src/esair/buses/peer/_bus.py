@@ -34,7 +34,7 @@ from esair.exceptions import (
     DeviceLostError,
     describe,
 )
-from esair.loop import arrive, fail, spawn
+from esair.loop import arrive, fail, spawn, turn_of
 from esair.messages import Stamped
 from esair.values import fits
 
@@ -155,9 +155,9 @@ class PeerBus(Bus):
     async def _open(self) -> None:
         if self._send is None:
             self._send = await self.network.join(self)
-            self._beating = spawn(
-                asyncio.get_running_loop(), self._beat(), name=f"{self.name} beats"
-            )
+            loop = asyncio.get_running_loop()
+            turn_of(loop).suspends.listen(self._slept)
+            self._beating = spawn(loop, self._beat(), name=f"{self.name} beats")
         try:
             async with asyncio.timeout(FIRST):
                 await self._alive.wait()
@@ -179,6 +179,7 @@ class PeerBus(Bus):
         finally:
             if self._send is not None:
                 self._send = None
+                turn_of(asyncio.get_running_loop()).suspends.forget(self._slept)
                 await self.network.leave(self)
             self._alive.clear()
             self._run += 1  # for the peer it is one that has restarted
@@ -200,6 +201,10 @@ class PeerBus(Bus):
                 # A message may be lost with a connection, or in a gap.
                 self.say("pending", [n for n, e in self._pending.items() if e.is_ask])
             await asyncio.sleep(BEAT)
+
+    def _slept(self, _seconds: float) -> None:
+        """The computer slept, whose clock stood still: what echoes older beats is old."""
+        self._sent.clear()
 
     def _why(self, told: str) -> str:
         """Return why the peer is silent, if that is not what is thought."""
@@ -247,11 +252,13 @@ class PeerBus(Bus):
             self.stats.bad_frames += 1
             return False
         head, body = found
+        loop = asyncio.get_running_loop()
+        turn_of(loop).suspends.look()  # it may be from before a sleep that ends now
         if self._is_over(head):
             self.stats.late += 1
             return False
         self._heard_there = head.echo_run if head.held < SILENCE else 0
-        now = asyncio.get_running_loop().time()
+        now = loop.time()
         self.stats.received += 1
         if head.run != self._its_run:
             self._end_run(self._its_run)
