@@ -645,6 +645,26 @@ async def test_who_waits_for_a_peer_that_is_taken_away_hears_of_it() -> None:
         assert pair.docking.cancelled == 1
 
 
+@pytest.mark.promise("NET-3")
+@pytest.mark.parametrize("way", ["restart", "rest"])
+async def test_a_request_whose_stand_in_ends_its_run_is_not_known(way: str) -> None:
+    """It was sent, and nobody here hears what becomes of it: that is no failure."""
+    pair, hand = Pair(), Hand()
+    modes = {"far": ["hand", "far_docking"], "near": ["hand"]}
+    rover = pair.rover(hand, modes=modes, mode="far")
+    async with pair.base(), rover:
+        await asyncio.sleep(0.3)
+        asking = asyncio.ensure_future(hand.ask("far_docking", Dock(2), timeout=None))
+        await asyncio.sleep(0.3)
+        assert pair.docking.begun == [2]
+        if way == "restart":
+            await rover.behaviors.restart("far_docking")
+        else:
+            await rover.behaviors.switch("near", reason="enough")
+        with pytest.raises(esair.OutcomeUnknownError):
+            await asking
+
+
 @pytest.mark.promise("PRO-9", "NET-2")
 @pytest.mark.parametrize("gap", [0.13, 0.3, 0.6, 0.9])
 async def test_a_change_that_falls_into_a_gap_is_heard_after_it(gap: float) -> None:

@@ -389,9 +389,11 @@ class RequestQueue:
 
     def run_ended(self, error: BaseException | None) -> None:
         """A run has ended: nobody works on what it had taken."""
+        told = describe(error) if error else "its run ended without an answer"
+        if hasattr(self.member.action, "doing_there"):  # it is worked on elsewhere
+            error = OutcomeUnknownError(self.member.name, told)
         for request in (*self.working, self.current):
             if request is not None:
-                told = describe(error) if error else "its run ended without an answer"
                 request.fail(told, error)
         self.task = self.current = None
 
