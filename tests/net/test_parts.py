@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
+import attrs
 import pytest
 from tests.net.parts import STILL, Dock, Docked, Hand, Pair, Twist
 
@@ -203,6 +204,38 @@ async def test_a_time_out_says_that_the_behavior_is_at_another_robot() -> None:
         with pytest.raises(esair.BehaviorUnavailableError) as late:
             await hand.ask("far_docking", Dock(2), timeout=1.0)
         assert "it is at base: busy, resting or restarting there" in str(late.value)
+
+
+@attrs.frozen
+class Undock(esair.Request[Docked]):
+    """A request that nobody takes."""
+
+    bay: int
+
+
+@pytest.mark.promise("BS-10", "NET-2")
+async def test_what_its_owner_cannot_read_is_answered_at_once() -> None:
+    """Nothing was done: a request is refused, a write at fault, each with the class."""
+    pair, hand, loop = Pair(), Hand(), asyncio.get_running_loop()
+    odd = PeerActuator(name="odd", remote="wheels", bus=pair.to_base)
+    pair.to_base.declare(Undock)
+
+    class Writes(esair.Behavior):
+        odd = esair.writes(Any)
+
+        async def run(self) -> None:
+            await loop.create_future()
+
+    writes = Writes(name="writes")
+    far = peer_behavior("undocking", pair.to_base, [Undock], remote="docking")
+    async with pair.base(), pair.rover(hand, writes, far, resources=[odd]):
+        await asyncio.sleep(0.4)
+        began = loop.time()
+        with pytest.raises(esair.RefusedError, match="Undock"):
+            await hand.ask("undocking", Undock(1), timeout=None)
+        with pytest.raises(esair.DeviceFaultError, match=r"says: .*Undock"):
+            await writes.odd.write(Undock(1))  # type: ignore[arg-type]
+        assert loop.time() - began < 0.1
 
 
 class Asks(esair.Behavior):

@@ -147,6 +147,7 @@ class Sharing(Behavior):
         """Take what came in: it is sorted, and nothing of it has any effect yet."""
         parts = () if what == "lost" else self.bus.parts(what, body)
         if parts is None:
+            self.bus.answer_unread(what, body)
             return
         queue = self._orders
         if what in {"write", "release"}:

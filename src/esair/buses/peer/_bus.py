@@ -23,6 +23,7 @@ from esair.buses.peer._wire import (
     LISTED,
     Head,
     head_of,
+    number_of,
     packed,
     parts_of,
 )
@@ -374,6 +375,12 @@ class PeerBus(Bus):
             self.stats.bad_frames += 1
             self.stats.last_error = describe(error)
             return None
+
+    def answer_unread(self, what: str, body: bytes) -> None:
+        """Tell that nothing was done of what could not be read, and why."""
+        number, how = number_of(body), {"ask": "declined", "write": "failed"}.get(what)
+        if number is not None and how is not None:
+            self.say("answer", number, how, str(self.stats.last_error))
 
     def _hand_on(self, what: str, sent: float, parts: tuple[Any, ...]) -> None:
         if what in {"answer", "progress"}:

@@ -6,6 +6,7 @@ The page ``docs/reference/network.md`` is for those who speak it from elsewhere.
 from __future__ import annotations
 
 import math
+import re
 import struct
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
@@ -21,6 +22,8 @@ ITEMS: Final = 20_000
 
 LISTED: Final = 256
 """How many sensors, or requests, a message may list: each may be answered."""
+
+_NUMBERED: Final = re.compile(rb"\x01t\x03\0\0\0i(.{8})", re.DOTALL)
 
 _HEAD: Final = struct.Struct("<QQQQd")
 
@@ -107,6 +110,12 @@ def parts_of(what: str, body: bytes, kinds: Kinds) -> tuple[Any, ...]:
         if kind is float and not 0.0 <= part < math.inf:
             raise CodecError(f"expected seconds, not {part}")
     return parts
+
+
+def number_of(body: bytes) -> int | None:
+    """Return the number of an ask, or a write, whose rest cannot be read."""
+    found = _NUMBERED.match(body)
+    return None if found is None else int.from_bytes(found[1], "little", signed=True)
 
 
 def key_of(to: str, sender: str, what: str) -> str:
