@@ -335,19 +335,17 @@ class _Port:
     def checked(self, command: "Any") -> "Any":
         """Return what a guard lets pass of a command: None, or never more than it."""
         task, output = self.task, self.output
-        reaction, now, passed = task.reaction, output.loop._ms, None
+        timed, now, passed = task.reaction, output.loop._ms, None
         if self.shut:
             return None
         try:
             if not task.blind:
-                if reaction.elapsed_ms < 0:
-                    reaction._ms = now
-                reaction.elapsed_ms = now - reaction._ms
-                reaction._ms = now
+                timed.elapsed_ms = now - timed._ms if timed.elapsed_ms >= 0 else 0
+                timed._ms = now
                 task.values[self.key] = command
-                passed = reaction.react(**task.values)
+                passed = timed.react(**task.values)
             elif not self.latch:
-                passed = reaction.blind(command)
+                passed = timed.blind(command)
             elif not output.writer or output.last == output.safe:
                 return None
             if passed is not None:
@@ -448,7 +446,7 @@ class _Output:
             bar = max(bar, holder.priority)
         self.holder = holder
         if not best or best.priority <= bar:
-            loop.refused += best is not None
+            loop.refused += not not best  # noqa: SIM208 - the smallest
             best = still = None
         elif not still:
             self.holder, self._ms, age = best, now, 0
@@ -465,23 +463,24 @@ class _Output:
 
     def look(self, port: "Any") -> None:
         """Send what the guards let pass: of a new command, or less of what stands."""
-        self.due = False
+        self.due = stop = False
         writer = port or self.writer
-        if not writer:
-            return
-        command = writer.command
-        for guard in self.guards:
-            if command is not None:
-                command = guard.checked(command)
-        if command is None:
-            self.loop.refused += port is not None
-            self.writer = None
-            return
-        if not port:
-            command = _less(command, self.last, self.safe)
-            if command == self.last:
-                return
-        self.tell(command, writer)
+        if writer:
+            command = writer.command
+            for guard in self.guards:
+                if not stop or guard.latch:  # one more keeps no latch open
+                    passed = guard.checked(command)
+                    stop = stop or passed is None
+                    if not stop:
+                        command = passed
+            if stop:
+                self.loop.refused += not not port  # noqa: SIM208 - the smallest
+                self.writer = None
+            else:
+                if not port:
+                    command = _less(command, self.last, self.safe)
+                if port or command != self.last:
+                    self.tell(command, writer)
 
     def tell(self, command: "Any" = None, writer: "Any" = None) -> None:
         """Send a command of somebody, or the safe one if it is nobody's."""

@@ -166,6 +166,43 @@ def natural_robot(world: dict[str, Any]) -> tuple[robots.Robot, list[Any]]:
     return robots.Robot(reactions, sensors, actuators), journal
 
 
+LATCHES = """
+from esair.minimal import Reaction, guards, reads, writes
+
+class Latches(Reaction):
+    s0 = reads(float, max_age=9.0)
+    m0 = guards(float, latch=True)
+
+    def react(self, s0, m0):
+        return m0 if s0 > 0.5 else None
+
+class Stops(Latches):
+    m0 = guards(float, priority=5)
+
+class Go(Reaction):
+    rate = 50.0
+    m0 = writes(float)
+
+    def react(self):
+        return 0.5
+"""
+
+
+def test_a_guard_that_refuses_keeps_no_latch_open(tmp_path) -> None:
+    """When both let it pass again nothing moves, as in MIN and in STD."""
+    module = robots.imported(LATCHES, tmp_path / "latches.py")
+    robot = robots.Robot(
+        [module.Latches(), module.Stops(), module.Go()],
+        [robots.Given("s0", 1.0)],
+        [robots.Told("m0", 0.0, 1.0)],
+    )
+    journal = [([value], [True]) for value in (1.0, 0.0, 1.0, 1.0)]
+    program = robots.in_c(robot, tmp_path)
+    told = robots.run_c(robot, program, journal)
+    assert told == robots.run_min(robot, journal)
+    assert sum(len(each) == 2 for each in told) == 4  # safe, 0.5, safe, and at the end
+
+
 def near(one: Any, other: Any) -> bool:
     """Tell whether two runs are the same but for what single floats round."""
     if len(one) != len(other):

@@ -918,6 +918,21 @@ def rule_guards_that_lose_sight_together_latch_each():
     assert loop.reset("latches")
 
 
+def rule_a_guard_that_refuses_keeps_no_latch_open():
+    class Latches(Bumper):
+        motor = guards(float, latch=True)
+
+        def react(self, eye, motor):
+            return motor if eye else None
+
+    class Stops(Latches):
+        motor = guards(float, priority=5)
+
+    loop, motor = blind_world([1, 0, 1, 1], [Latches("guard"), Stops("stops"), Go()], 5)
+    assert motor.told == [0.0, 1, 0.0], motor.told
+    assert loop.reset("guard")
+
+
 def rule_a_guard_is_not_asked_because_somebody_else_is_blind():
     class Counts(Reaction):
         rate = 1

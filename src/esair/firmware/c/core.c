@@ -80,7 +80,7 @@ static es_output es_outputs[ES_ROOM(ES_OUTPUTS)];
 
 static jmp_buf es_catch;
 static uint32_t es_now, es_rest, es_elapsed;
-static bool es_ancient, es_passed;
+static bool es_ancient, es_passed, es_stopped;
 
 static void es_fail(void) { longjmp(es_catch, 1); }
 
@@ -226,12 +226,15 @@ static void es_review(es_output *o, es_port *port)
     if (o->n_guards) {
         memcpy(o->passing, command, o->size);
         command = o->passing;
-        for (int i = 0; i < o->n_guards; i++)
-            if (!es_passes(&o->guards[i])) {
-                robot.refused += port != NULL;
-                o->writer = NULL;
-                return;
-            }
+        es_stopped = false;
+        for (int i = 0; i < o->n_guards; i++) /* one more keeps no latch open */
+            if ((!es_stopped || o->guards[i].latch) && !es_passes(&o->guards[i]))
+                es_stopped = true;
+        if (es_stopped) {
+            robot.refused += port != NULL;
+            o->writer = NULL;
+            return;
+        }
         if (port == NULL && o->lessen()) return;
     }
     es_tell(o, command, writer);

@@ -19,6 +19,6 @@ static void let_${name}(${type} wish)
     const ${type} passed = fit_${name}(wish);
     const ${type} less = less_${name}(passed, pass_${name});
     if (!(${is_less})) es_fail(); /* more than was asked */
-    pass_${name} = passed;
+    if (!es_stopped) pass_${name} = passed;
 }
 
