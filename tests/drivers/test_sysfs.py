@@ -179,6 +179,8 @@ def test_a_pwm_channel_without_a_period_gets_that_first(root, monkeypatch) -> No
         (lambda: SysfsActuator(device="pwm:pwmchip0"), "expected pwm:CHIP/CHANNEL"),
         (lambda: SysfsActuator(device="led:green/1"), "expected pwm:CHIP/CHANNEL"),
         (lambda: SysfsActuator(device="pwm:a/1", period=0.0), "expected seconds"),
+        (lambda: SysfsActuator(device="led:a", limits=(0.0, 1.5)), "from 0 to 1"),
+        (lambda: SysfsActuator(device="led:a", limits=(-0.5, 1.0)), "from 0 to 1"),
     ],
 )
 def test_its_mistakes_are_named(made, says) -> None:

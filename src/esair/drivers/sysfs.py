@@ -231,6 +231,10 @@ class SysfsActuator(_OnSysfs, Actuator[float]):
         super().__init__(device=device, **settings)
         self.safe: float = float(safe)
         self.limits: tuple[float, float] = limits
+        numbers = isinstance(limits, tuple | list) and limits
+        if not numbers or not all(0.0 <= each <= 1.0 for each in numbers):
+            told = f"expected numbers from 0 to 1, not {limits!r:.80}"
+            raise ConfigError(self.name, "limits", told)
         self._chip, _, channel = self.place.partition("/")
         if (self.kind == "pwm") != channel.isdecimal():
             raise ConfigError(
