@@ -127,3 +127,21 @@ async def test_one_that_fails_while_something_moves_latches(how: str) -> None:
         assert 0.3 not in wheels.commands[told:]
         robot.behaviors.reset("stop")
         await wheels.until(0.3, timeout=0.5)
+
+
+@pytest.mark.promise("RS-6")
+async def test_a_refusal_says_since_when_it_is_latched() -> None:
+    """Not since when the guard has seen."""
+    wheels = FakeActuator("wheels", safe=0.0)
+    door = FakeSensor("door", 1.0, type=float, rate=20.0)
+    hand = esair.Behavior(name="hand", writes={"wheels": esair.writes(float)})
+    async with esair.Robot(resources=[wheels, door], behaviors=[Stop(), hand]):
+        port: Any = hand.wheels  # type: ignore[attr-defined]
+        assert await port.write(0.3)
+        await asyncio.sleep(0.72)
+        door.feed(0.1)
+        assert await port.write(0.3)
+        await wheels.until(0.0)
+        latched = esair.now()
+        await asyncio.sleep(1.0)
+        assert (await port.write(0.3)).since == pytest.approx(latched)

@@ -218,7 +218,7 @@ class Protection:
 
     def _latch(self, why: str, command: Any) -> None:
         if self.latch:
-            self.latched = why
+            self.latched, self.since = why, _now()
             self.refused = command
             _log.warning("%s: latched: %s", self.label, why)
 
