@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from tests.drivers.parts import opened
 
 import esair
-from esair.buses import CanBus
+from esair.buses import CanBus, Frame
 from esair.drivers.canopen import (
     CanopenActuator,
     CanopenNetwork,
@@ -185,6 +185,26 @@ async def test_a_late_sdo_answer_is_never_that_to_the_next_request() -> None:
 
         assert await device.read() == 2
         assert wire.stats.late == 1
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("BUS-3")
+async def test_what_a_tool_on_the_bus_is_told_is_no_answer() -> None:
+    """Its request goes to the same node, and the answer has the same id."""
+    wire = FakeCan("drive")
+    node = FakeCanopenNode(wire, MOTOR, node=5)
+    told = [
+        Frame(0x585, bytes((kind, 0, 0x20, 1, 0, 0, 2, 6))) for kind in (96, 75, 128)
+    ]
+    motor, place = actuator(wire), sensor(wire)
+    async with opened(motor, place):
+        node.delay = 0.05
+        wire.answer(0x605, told)
+        begin = asyncio.get_running_loop().time()
+        await motor.write(7)
+        assert asyncio.get_running_loop().time() - begin >= 0.05
+        assert await place.read() == 0
+        assert node[0x60FF] == 7
 
 
 @pytest.mark.promise("BUS-4")
