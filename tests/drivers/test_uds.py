@@ -125,6 +125,19 @@ async def test_a_full_bus_ends_no_session() -> None:
         assert await fan.is_set_up()
 
 
+async def test_who_leaves_a_unit_takes_no_answer_of_another() -> None:
+    """The last device is closed in the moment in which the next one is opened."""
+    can = FakeCan()
+    FakeUnit(can, VALUES)
+    one, two = (UdsSensor(name=n, identifier=0xF405, layout="B", bus=can) for n in "ab")
+    await can.open()
+    await one.open()
+    await asyncio.gather(one.close(), two.open())
+    assert await two.read() == 123.0
+    await two.close()
+    await can.close()
+
+
 @pytest.mark.promise("BUS-5")
 async def test_a_full_bus_costs_one_answer() -> None:
     """The frame that asks for the rest of it finds no room; the node is heard on."""

@@ -431,7 +431,7 @@ class IsoTp(SharedTask):
                         await self._process(bus)
                     except (BusyError, DeviceFaultError, DriverStuckError) as error:
                         self.exchanges.fail(error)  # of that request alone
-        except BaseException as error:
+        except Exception as error:
             self.exchanges.fail(error)  # at once: it is not waited for any more
             raise
 
