@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import concurrent.futures
+import contextlib
 import itertools
 import os
 import pickle
@@ -282,6 +284,48 @@ def test_who_goes_on_with_what_comes_does_so_before_all_that_is_ready_again() ->
 
     assert live == ["waits", "ready"]
     assert play(TurnLoop(player=Player(tape)), tape) == live
+
+
+class GivesUp(esair.Behavior):
+    """Waits for a thread no longer, which ends all the same."""
+
+    async def run(self) -> None:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(0.02):
+                await asyncio.to_thread(time.sleep, 0.04)
+        await asyncio.sleep(0.1)
+
+
+@pytest.mark.promise("REP-2")
+def test_a_thread_that_nobody_waits_for_any_more_holds_up_no_repetition(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """There it is given up sooner than it has begun: time is quicker, threads are not."""
+    monkeypatch.setattr("esair.loop._tape.PATIENCE", 1.0)
+
+    def play(loop: TurnLoop, tape: list[Any]) -> None:
+        async def main() -> None:
+            if loop.player is None:
+                loop.keep(TapeWriter(tape.append))
+            else:
+                threads = concurrent.futures.ThreadPoolExecutor(1)
+                threads.submit(time.sleep, 0.1)
+                loop.set_default_executor(threads)
+                loop.play()
+            async with esair.Robot(behaviors=[GivesUp()]):
+                await asyncio.sleep(0.2)
+            loop.keep(None)
+
+        with asyncio.Runner(loop_factory=lambda: loop) as runner:
+            runner.run(main())
+
+    tape: list[Any] = []
+    play(TurnLoop(), tape)
+    player = Player(tape)
+    play(TurnLoop(player=player), tape)
+
+    assert any(type(each) is tuple and each[0][0] == "thread" for each in tape)
+    assert player.late == ""
 
 
 def await_nothing(seconds: float) -> None:

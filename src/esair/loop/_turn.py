@@ -419,7 +419,8 @@ class TurnLoop(asyncio.SelectorEventLoop):
                 self._turn.door.post(0, tag, settle, future, result, error)
 
         inner = super().run_in_executor(executor, work)
-        future.add_done_callback(lambda done: done.cancelled() and inner.cancel())
+        if self.player is None:  # what had begun when it was recorded has its end there
+            future.add_done_callback(lambda done: done.cancelled() and inner.cancel())
         return future
 
     def _pass(self, timeout: float | None = None) -> Any:
