@@ -147,3 +147,37 @@ async def test_readings_that_a_loop_has_not_taken(user_of: Any) -> None:
         assert await anext(values) == 3.5
         assert robot.sensors.channel("sonar").counts()["dropped"] == 2
         await values.aclose()
+
+
+class Telling(esair.Actuator[float]):
+    """Says in its own way what it has applied."""
+
+    safe = 0.0
+
+    def __init__(self, says: Any = None, seconds: float | None = None) -> None:
+        super().__init__(name="wheels")
+        self.says, self.seconds = says, seconds
+
+    async def write(self, command: float) -> Any:
+        if self.seconds is not None:
+            await asyncio.sleep(self.seconds)
+        return self.says
+
+
+@pytest.mark.parametrize("seconds", [None, 0.0, 0.01])
+@pytest.mark.parametrize("says", [None, 0.25])
+@pytest.mark.parametrize("is_read", [False, True])
+async def test_each_write_is_counted_once(
+    seconds: float | None, says: float | None, is_read: bool
+) -> None:
+    """However its driver answers, and whether somebody reads what it has applied."""
+    reads = {"applied": esair.reads(float, name="wheels.applied")} if is_read else {}
+    writes = {"wheels": esair.writes(float)}
+    user: Any = esair.Behavior(name="user", reads=reads, writes=writes)
+    wheels = Telling(says, seconds)
+    async with esair.Robot(resources=[wheels], behaviors=[user]) as robot:
+        channel = robot.actuators.channels["wheels"]
+        assert channel.counts()["writes"] == 0
+        for number in (1, 2, 3):
+            await user.wheels.write(0.5)
+            assert channel.counts()["writes"] == number

@@ -120,3 +120,39 @@ async def test_a_reader_too_many_is_counted(
         errors = await asyncio.gather(*reads, return_exceptions=True)
         assert sum(isinstance(each, esair.BusyError) for each in errors) == 2
         assert robot.journal.counts()["sonar"]["turned_away"] == 2
+
+
+@pytest.mark.parametrize("bound", ["REQUESTS_PER_SENDER", "REQUESTS"])
+async def test_a_request_too_many_is_counted(
+    monkeypatch: pytest.MonkeyPatch, bound: str
+) -> None:
+    """Whichever bound it meets, and only from there on."""
+    monkeypatch.setattr(f"esair.supervisors._mediator.{bound}", 2)
+    idle, user = Idle(), Idle(name="user")
+    async with esair.Robot(behaviors=[idle, user]) as robot:
+        waiting = [asyncio.create_task(user.get("idle", 0.1)) for _ in range(2)]
+        await asyncio.sleep(0.01)
+        assert robot.journal.counts()["behaviors"]["turned_away"] == 0
+        for number in (1, 2):
+            with pytest.raises(esair.BusyError):
+                await user.get("idle")
+            assert robot.journal.counts()["behaviors"]["turned_away"] == number
+        await asyncio.gather(*waiting, return_exceptions=True)
+
+
+@pytest.mark.parametrize("supervisor", ["behaviors", "resources"])
+async def test_a_command_too_many_is_counted(
+    monkeypatch: pytest.MonkeyPatch, supervisor: str
+) -> None:
+    """Of each supervisor by itself."""
+    names = {"behaviors": "idle", "resources": "sonar"}
+    async with esair.Robot(
+        resources=[FakeSensor("sonar", 1.0)], behaviors=[Idle()]
+    ) as robot:
+        monkeypatch.setattr("esair.supervisors._command_queue.LIMIT", 0)
+        for number in (1, 2):
+            with pytest.raises(esair.BusyError):
+                await getattr(robot, supervisor).restart(names[supervisor])
+            counts = robot.journal.counts()
+            told = {name: counts[name]["turned_away"] for name in names}
+            assert told == dict.fromkeys(names, 0) | {supervisor: number}
