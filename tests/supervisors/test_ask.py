@@ -679,7 +679,8 @@ async def test_the_stop_ends_every_request() -> None:
 
 @pytest.mark.promise("BS-5")
 @pytest.mark.parametrize("child", [False, True])
-async def test_a_circle_of_ask_is_refused_at_once(child: bool) -> None:
+@pytest.mark.parametrize("names", ["ab", "abc", "abcd"])
+async def test_a_circle_of_ask_is_refused_at_once(names: str, child: bool) -> None:
     """The path is in order, also if a child task of the one that serves asks back."""
 
     class Asks(Methods):
@@ -690,15 +691,18 @@ async def test_a_circle_of_ask_is_refused_at_once(child: bool) -> None:
             ask = self.ask(self.other, request)
             return await (asyncio.ensure_future(ask) if child else ask)
 
-    a, b = Asks(name="a"), Asks(name="b")
-    a.other, b.other = "b", "a"
+    members = [Asks(name=name) for name in names]
+    for member, other in zip(members, [*names[1:], "a"], strict=True):
+        member.other = other
     loop = asyncio.get_running_loop()
-    async with esair.Robot(behaviors=[a, b]) as robot:
+    async with esair.Robot(behaviors=members) as robot:
         with pytest.raises(esair.BehaviorFailedError) as caught:
             await robot.behaviors.ask(Dock(1), sender="user", receiver="a")
-        inner = caught.value.__cause__.__cause__
+        inner: BaseException | None = caught.value
+        while isinstance(inner, esair.BehaviorFailedError):
+            inner = inner.__cause__
         assert isinstance(inner, esair.CircularRequestError)
-        assert inner.path == ("a", "b", "a")
+        assert inner.path == (*names, "a")
         assert loop.time() == 0.0
 
 

@@ -342,3 +342,26 @@ async def test_what_it_registers_for_is_its_own_and_ends_with_it() -> None:
     assert commands[1] == 0.25
     with pytest.raises(esair.EsairError):
         await step.port.write(0.25)
+
+
+async def test_its_priority_is_bound_by_that_of_the_same_resource() -> None:
+    """What its performer has elsewhere lends it nothing; nor what it has not declared."""
+    names = "left", "middle", "right"
+    ports = {name: esair.writes(float, priority=7) for name in names}
+    step: Any = esair.Behavior(name="step", writes=ports)
+    seen: dict[str, int] = {}
+
+    async def run() -> None:
+        seen.update((each, getattr(step, each).registration.priority) for each in names)
+
+    step.run = run
+    own = {
+        "left": esair.writes(float, priority=9),
+        "right": esair.writes(float, priority=2),
+    }
+    performer: Any = esair.Behavior(name="performer", writes=own)
+    resources = [FakeActuator(name, safe=0.0) for name in names]
+    rule = [esair.Policy(name, allow={"*": esair.Access.WRITE}) for name in names]
+    async with esair.Robot(resources=resources, behaviors=[performer], policies=rule):
+        await performer.perform(step)
+    assert seen == {"left": 7, "middle": 0, "right": 2}

@@ -345,3 +345,61 @@ async def test_what_is_being_removed_does_not_come_back() -> None:
         told = len(wheels.commands)
         await asyncio.sleep(1.0)
         assert wheels.commands[told:] in ([], [0.0])
+
+
+class Slow(esair.Behavior):
+    """Takes a second to be set up, and some time to end; notes what it does."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.log: list[str] = []
+
+    async def setup(self) -> None:
+        self.log.append("setup")
+        await asyncio.sleep(1.0)
+
+    async def run(self) -> None:
+        self.log.append("run")
+        try:
+            await asyncio.sleep(1000.0)
+        finally:
+            await asyncio.sleep(0.2)
+
+
+@pytest.mark.parametrize("after", [0.0, 0.1, 0.5])
+async def test_who_gives_up_a_restart_has_it_happen_all_the_same(after: float) -> None:
+    """It has ended a run: one that is left half done would leave none."""
+    behavior = Slow()
+    async with esair.Robot(behaviors=[behavior]) as robot:
+        await asyncio.sleep(2.0)
+        restarting = await soon(robot.behaviors.restart("slow"))
+        await asyncio.sleep(after)
+        restarting.cancel()
+        await asyncio.sleep(2.0)
+        assert restarting.cancelled()
+        assert behavior.log == ["setup", "run"] * 2
+        assert robot.behaviors.query("slow").state is esair.BehaviorState.RUNNING
+
+
+async def test_who_gives_up_the_restart_of_a_device_has_it_happen() -> None:
+    """Also where it waits for a replacement: what has come is restarted then."""
+
+    class Motor(FakeActuator[float]):
+        openings = 0
+
+        async def open(self) -> None:
+            self.openings += 1
+            await super().open()
+
+        async def close(self) -> None:
+            await asyncio.sleep(0.1)
+            await super().close()
+
+    old, new = Motor("motor", safe=0.0), Motor("motor", safe=0.0)
+    async with esair.Robot(resources=[old]) as robot:
+        replacing = await soon(robot.resources.replace("motor", new))
+        restarting = await soon(robot.resources.restart("motor"))
+        restarting.cancel()
+        await replacing
+        await asyncio.sleep(1.0)
+        assert (old.openings, new.openings) == (1, 2)

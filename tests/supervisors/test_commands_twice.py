@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+from typing import Any
+
+import pytest
 
 import esair
 from esair.testing import FakeActuator
@@ -45,3 +48,24 @@ async def test_two_removals_of_a_behavior_have_one_outcome_each(
         )
 
     assert [type(each) for each in told] == [list, esair.UnknownNameError]
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("SUP-1")
+@pytest.mark.parametrize("verb", ["add", "remove", "replace", "restart"])
+@pytest.mark.parametrize("supervisor", ["behaviors", "resources"])
+async def test_a_robot_that_is_not_entered_takes_no_command(
+    supervisor: str, verb: str
+) -> None:
+    """Nobody waits for ever for a start that nobody has asked for."""
+
+    def made(name: str) -> Any:
+        if supervisor == "behaviors":
+            return esair.Behavior(name=name)
+        return FakeActuator(name, safe=0.0)
+
+    terms = {"add": [made("b")], "replace": ["a", made("b")]}.get(verb, ["a"])
+    options: Any = {supervisor: [made("a")]}
+    robot = esair.Robot(**options)
+    with pytest.raises(esair.StoppingError, match="enter the robot first"):
+        await asyncio.wait_for(getattr(getattr(robot, supervisor), verb)(*terms), 1.0)
