@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from typing import Any
 
 import pytest
@@ -249,3 +250,21 @@ async def test_a_caller_cancelled_in_the_tick_of_its_turn_is_left_out(
         assert await second == 2
     assert first.cancelled()
     assert ("begin", 1) not in log
+
+
+@pytest.mark.parametrize("seconds", [0.5, 2.0])
+async def test_what_lasts_has_until_its_deadline(seconds: float) -> None:
+    """What is taken away is waited for when all is closed, and then given up."""
+    queue, log = opened(), list[Any]()
+    do = work(log, 1, seconds)
+    task = asyncio.ensure_future(queue.run(do, name="removal", undo=False, lasts=True))
+    await asyncio.sleep(0.0)
+    await queue.close()
+    began = asyncio.get_running_loop().time()
+    (left,) = queue.left(began + 1.0)
+    await left
+    assert asyncio.get_running_loop().time() == pytest.approx(began + min(seconds, 1.0))
+    with contextlib.suppress(esair.StoppingError):
+        assert await task == 1
+    assert (("end", 1) in log) == (seconds < 1.0)
+    assert queue.left(began + 1.0) == []

@@ -37,6 +37,7 @@ class FakeWatchdog:
         self.answers.set()
         self.refusal = ""
         self.watched: set[str] = set()
+        self.patience: list[float] = []
 
     async def start(self) -> None:
         if self.missing:
@@ -56,8 +57,9 @@ class FakeWatchdog:
     def watches(self, name: str) -> bool:
         return name in self.watched
 
-    async def drop(self, name: str, within: float = 1.0) -> None:
+    async def drop(self, name: str, within: float = -1.0) -> None:
         self.watched.discard(name)
+        self.patience.append(within)
         self.told.append(("drop", name))
 
     def moving(self, name: str, moves: bool) -> None:
@@ -450,3 +452,46 @@ async def test_elsewhere_than_on_linux_it_is_refused(
     monkeypatch.setattr(sys, "platform", "darwin")
     with pytest.raises(esair.ConfigError, match="expected Linux, not darwin"):
         robot_with()
+
+
+async def test_where_it_cannot_be_started_the_pauses_grow(
+    fake: type[FakeWatchdog], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From a second to a minute, and it is tried for ever."""
+    pauses: list[float] = []
+    enough = asyncio.Event()
+
+    class Quick:
+        """Like asyncio, but that nothing sleeps for long."""
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(asyncio, name)
+
+        async def sleep(self, seconds: float) -> None:
+            pauses.append(seconds)
+            if len(pauses) == 8:
+                enough.set()
+                await asyncio.Event().wait()
+
+    fake.missing = True
+    monkeypatch.setattr(_watching, "asyncio", Quick())
+    robot, _, _ = robot_with(watchdog_death="alarm")
+    async with robot:
+        await asyncio.wait_for(enough.wait(), 10.0)
+    assert pauses == [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0]
+
+
+async def test_a_removal_and_the_stop_say_how_long_they_wait(
+    fake: type[FakeWatchdog],
+) -> None:
+    """The stop has a deadline; who restarts a device waits as long as usual."""
+    robot, _, _ = robot_with()
+    async with robot:
+        (dog,) = fake.made
+        await robot.resources.restart("motor")
+        while state_of(robot) is not esair.ResourceState.READY:  # noqa: ASYNC110
+            await asyncio.sleep(0.01)
+        usual = list(dog.patience)
+    assert usual == [-1.0]
+    assert len(dog.patience) == 2
+    assert 0.5 <= dog.patience[1] <= 3.0

@@ -1189,3 +1189,14 @@ async def test_a_request_that_is_over_is_nothing_for_the_collector() -> None:
             assert gone() is None
         finally:
             gc.enable()
+
+
+@pytest.mark.promise("BS-4")
+async def test_who_waits_for_its_inbox_is_woken_for_its_own_alone() -> None:
+    """However many wait, each at its own."""
+    members = [Idle(name=name) for name in "abc"]
+    async with esair.Robot(behaviors=members) as robot:
+        waiting = [await soon(each.receive()) for each in members]
+        for name, task in zip("cba", reversed(waiting), strict=True):
+            await robot.behaviors.put(name, sender="user", receiver=name)
+            assert await asyncio.wait_for(task, 0.1) == name

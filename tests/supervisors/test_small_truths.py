@@ -611,3 +611,94 @@ async def test_what_moved_before_the_computer_slept_is_made_safe() -> None:
         robot._resources.resumed(60.0)
         await turns()
         assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.promise("RS-4", "RS-7")
+async def test_a_device_that_is_lost_takes_no_setting_and_no_operation() -> None:
+    """Its driver is not asked, and nothing is remembered."""
+    told: list[Any] = []
+
+    class Lift(FakeActuator[float]):
+        speed = esair.setting(1.0, min=0.0)
+
+        @esair.operation
+        async def home(self) -> None:
+            told.append("home")
+
+        async def apply(self, **changes: float) -> None:
+            told.append(changes)
+
+    lift = Lift("lift", safe=0.0)
+    allow = Access.WRITE | Access.CONFIGURE
+    policy = esair.Policy("lift", allow={"*": allow})
+    async with esair.Robot(resources=[lift], policies=[policy]) as robot:
+        mine = await robot.resources.register("me", "lift", allow)
+        told.clear()
+        lift.unplug()
+        await asyncio.sleep(0.01)
+        with pytest.raises(esair.DeviceLostError):
+            await robot.resources.configure(mine, speed=2.0)
+        with pytest.raises(esair.DeviceLostError):
+            await robot.resources.operate(mine, "home")
+        assert (told, lift.speed) == ([], 1.0)
+
+
+@pytest.mark.promise("RS-2")
+async def test_nobody_asks_a_lost_device_whether_it_is_set_up() -> None:
+    """It is set up when it is opened again."""
+    asked: list[bool] = []
+
+    class Sonar(FakeSensor[float]):
+        set_up_period = 0.5
+
+        async def is_set_up(self) -> bool:
+            asked.append(robot.resources.query("sonar").error is None)
+            return True
+
+    sonar = Sonar("sonar", 1.0)
+    async with esair.Robot(resources=[sonar]) as robot:
+        await asyncio.sleep(1.2)
+        sonar.unplug()
+        await asyncio.sleep(2.0)
+        assert asked == [True, True]
+        sonar.plug()
+        await asyncio.sleep(2.0)
+        assert len(asked) > 2
+        assert all(asked)
+
+
+async def test_only_what_is_open_and_watched_is_armed_again() -> None:
+    """Not a sensor, nor what is lost: that is armed when it is opened."""
+    armed: list[str] = []
+
+    class Eye:
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        async def arm(self) -> None:
+            armed.append(self.name)
+
+    parts = [FakeActuator(name, safe=0.0) for name in ("arm", "gone", "wheels")]
+    async with esair.Robot(resources=[*parts, FakeSensor("eye", 1.0)]) as robot:
+        lives = robot._resources.lives
+        parts[1].unplug()
+        await asyncio.sleep(0.01)
+        for each in parts:
+            lives[each.name].device.watch = Eye(each.name)  # type: ignore[assignment]
+        await robot._resources.rearm()
+        for each in parts:
+            lives[each.name].device.watch = None
+    assert armed == ["arm", "wheels"]
+
+
+@pytest.mark.promise("GRD-1")
+async def test_nothing_is_kept_of_a_halt_that_was_answered() -> None:
+    """However many there were."""
+    async with esair.Robot(resources=[FakeActuator("wheels", safe=0.0)]) as robot:
+        for _ in range(5):
+            await robot.halt("a test")
+            robot.resume()
+        await turns()
+        kept = {each.get_name() for each in asyncio.all_tasks()}
+        assert not any(name.startswith("halt ") for name in kept)
+        assert not robot._halts._answers

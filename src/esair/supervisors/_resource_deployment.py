@@ -32,8 +32,6 @@ from esair.exceptions import (
 from esair.journal import Journal, Kind
 from esair.loop import outside, spawn, wake
 from esair.messages import (
-    NO_MODES,
-    Access,
     Modes,
     Policy,
     ResourceState,
@@ -106,10 +104,10 @@ class ResourceDeployment:
         actuators: ActuatorConnection,
         registrations: Registrations,
         *,
-        policies: Iterable[Policy] = (),
-        declared: Declared = lambda _behavior, _resource: Access(0),
-        modes: Modes = NO_MODES,
-        grace: float = 1.0,
+        policies: Iterable[Policy],
+        declared: Declared,
+        modes: Modes,
+        grace: float,
     ) -> None:
         self.sensors = sensors
         self.actuators = actuators
