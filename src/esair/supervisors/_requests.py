@@ -389,12 +389,12 @@ class RequestQueue:
 
     def run_ended(self, error: BaseException | None) -> None:
         """A run has ended: nobody works on what it had taken."""
-        told = describe(error) if error else "its run ended without an answer"
-        if hasattr(self.member.action, "doing_there"):  # it is worked on elsewhere
-            error = OutcomeUnknownError(self.member.name, told)
         for request in (*self.working, self.current):
             if request is not None:
-                request.fail(told, error)
+                told = describe(error) if error else "its run ended without an answer"
+                is_there = hasattr(self.member.action, "doing_there")
+                unknown = OutcomeUnknownError(self.member.name, told)
+                request.fail(told, unknown if is_there else error)
         self.task = self.current = None
 
 
