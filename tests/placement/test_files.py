@@ -126,3 +126,20 @@ def test_a_process_runs_as_the_robot_does(tmp_path: Path) -> None:
         check=False,
     )
     assert "all well None" in ended.stdout, ended.stderr
+
+
+@pytest.mark.promise("PLC-1", "RS-8")
+@pytest.mark.parametrize("how", ["-", "-c"])
+def test_a_program_that_is_in_no_file_places_nothing(how: str) -> None:
+    """No child could import it: that is a mistake, and no component that fails."""
+    words = ["-"] if how == "-" else ["-c", ASSERTS]
+    ended = subprocess.run(
+        [sys.executable, *words],
+        capture_output=True,
+        input=ASSERTS,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert ended.returncode == 1
+    assert "its class is in no file" in ended.stderr

@@ -631,7 +631,7 @@ def _unnamed(component: Any) -> tuple[str, str, str] | None:
     if found is not type(inner):
         advice = "define it at the top of a module"
         return "placement", f"its class cannot be imported as {module}:{path}", advice
-    if module == SCRIPT and not recipe.get("file"):
+    if module == SCRIPT and (recipe["file"] or ">")[-1] == ">":  # such as <stdin>
         return "placement", "its class is in no file", "put it into a module"
     if module == SCRIPT and not _is_guarded():
         advice = "put what runs under if __name__ == '__main__':"
