@@ -705,8 +705,10 @@ class ActuatorChannel(Device):
 
     # Operations, and calls between two commands.
 
-    def between(self, method: Method, told: Callable[[End], None]) -> bool:
-        """Call the driver between two commands; tells whether the device was free."""
+    def between(
+        self, method: Method, told: Callable[[End], None], limit: float
+    ) -> Call | bool:
+        """Call the driver between two commands; returns what is false if it is not free."""
         wire = self.wire
         if wire.lane is not None or self.safe.state is not None or self.calls.alive:
             return False
@@ -716,10 +718,10 @@ class ActuatorChannel(Device):
             if call.ended is not None and call is wire.lane:
                 self._lane_free(call)
 
-        waits = self.calls.attempt(method, self.actuator.deadline, told, ended)
+        waits = self.calls.attempt(method, limit, told, ended)
         if waits is not None:
             wire.lane = waits
-        return True
+        return waits or True
 
     def ready_for(self, operation: Operating) -> bool:
         """Tell whether an operation may begin now: what moves is made safe first."""

@@ -16,6 +16,7 @@ from esair.connections._calls import (
     Calls,
     Driver,
     End,
+    Method,
     given_up,
     translate_call,
 )
@@ -118,15 +119,30 @@ class Operating:
         return f"<operation {self.name}({given})>"
 
 
-class Operations:
-    """Runs the operations of a device; its caller sees to it that there is one."""
+@attrs.define(eq=False)
+class Errand:
+    """A call of the driver that waits until the device does nothing else, or runs."""
 
-    __slots__ = ("_device", "_loop", "current")
+    method: Method
+    limit: float
+    outcome: asyncio.Future[End]
+    call: Call | bool = False  # true if it has begun
+
+    def told(self, end: End) -> None:
+        if not self.outcome.done():
+            self.outcome.set_result(end)
+
+
+class Operations:
+    """Runs the operations and errands of a device; its caller lets one in at a time."""
+
+    __slots__ = ("_device", "_loop", "current", "errand")
 
     def __init__(self, device: ActuatorChannel | SensorChannel) -> None:
         self._device = device
         self._loop = device.loop
         self.current: Operating | None = None  # what waits for its turn, or runs
+        self.errand: Errand | None = None
 
     async def run(
         self,
@@ -163,10 +179,43 @@ class Operations:
         finally:
             deadline.cancel()
 
+    async def run_errand(self, method: Method, limit: float) -> Any:
+        """Call the driver as soon as the device does nothing else; wait for its outcome.
+
+        Raises:
+            CallRefused: The device was not free within the limit, in seconds.
+        """
+        outcome: asyncio.Future[End] = self._loop.create_future()
+        this = self.errand = Errand(method, limit, outcome)
+        deadline = Deadlines.of(self._loop).after(limit, self._expire_errand, this)
+        try:
+            self.look()
+            end = await outcome
+        except asyncio.CancelledError:
+            if type(this.call) is Call and this.call.ended is None:
+                this.call.cancel()
+            raise
+        finally:
+            deadline.cancel()
+            self.errand = None
+        if isinstance(end.error, TimeoutError) and not isinstance(
+            end.error, EsairError
+        ):
+            end = End(None, DriverStuckError(self._device.name, method.name, limit))
+        if end.error is not None:
+            raise end.error
+        return end.value
+
     def look(self) -> None:
         """Begin with what waits, if the device is free."""
         this = self.current
-        if this is None or this.call is not None or this.outcome.done():
+        if this is None:
+            errand = self.errand
+            if errand is not None and not errand.call and not errand.outcome.done():
+                device, limit = self._device, errand.limit
+                errand.call = device.between(errand.method, errand.told, limit)
+            return
+        if this.call is not None or this.outcome.done():
             return
         device = self._device
         begun = False
@@ -235,11 +284,17 @@ class Operations:
         """The device is gone; its calls are fenced."""
         if self.current is not None:
             self._over(self.current, End(None, error))
+        if self.errand is not None:
+            self.errand.told(End(None, error))
 
     def drop(self, registration: Registration) -> None:
         """End what was begun by a right that is void."""
         if self.current is not None and self.current.registration is registration:
             self.end(self._device.registrations.refusal(registration))
+
+    def _expire_errand(self, this: Errand) -> None:
+        if not this.call:  # a call has its own deadline
+            this.told(End(None, CallRefused()))
 
     def _expire(self, this: Operating, stuck: DriverStuckError) -> None:
         if self.current is this and this.call is None:  # a call has its own deadline

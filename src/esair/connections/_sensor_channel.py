@@ -292,8 +292,10 @@ class SensorChannel(Device):
             self.asking.ended(call)
         self.asking.free()
 
-    def between(self, method: Method, told: Callable[[End], None]) -> bool:
-        """Call the driver between two questions; tells whether the device was free."""
+    def between(
+        self, method: Method, told: Callable[[End], None], limit: float
+    ) -> Call | bool:
+        """Call the driver between two questions; returns what is false if it is not free."""
         asking = self.asking
         if asking.busy:
             return False
@@ -304,10 +306,10 @@ class SensorChannel(Device):
             told(end)
             asking.free()
 
-        waits = self.calls.attempt(method, self.sensor.deadline, told, ended)
+        waits = self.calls.attempt(method, limit, told, ended)
         if waits is not None:
             asking.busy = waits
-        return True
+        return waits or True
 
     def _late(self, call: Call) -> None:
         """A call has ended whose outcome was out before."""

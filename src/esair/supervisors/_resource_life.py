@@ -390,8 +390,8 @@ class ResourceLife:
         self._looks = None
         if self.is_over or self.channel.state is not ResourceState.READY:
             return
-        method = self.device.driver.method("is_set_up")
-        asked = self.channel.between(method, self._has_told)
+        method, limit = self.device.driver.method("is_set_up"), self.resource.deadline
+        asked = self.channel.between(method, self._has_told, limit)
         self._look_after(self.resource.set_up_period if asked else SET_UP_AGAIN)
 
     def _has_told(self, end: End) -> None:
@@ -407,11 +407,13 @@ class ResourceLife:
         resource = self.resource
         before = {name: resource.settings[name] for name in changes}
         try:
-            await self.device.call("apply", **changes)
+            await self._apply(changes)
+        except CallRefused:  # nobody has asked the device
+            raise NoTurnError(self.name, "apply", self._patience) from None
         except Exception as error:
             self._check_ready(error)
             try:
-                await self.device.call("apply", **before)
+                await self._apply(before)
             except Exception as second:
                 # Nobody knows its settings now: close it and begin anew.
                 unknown = f"its settings are unknown: {describe(second)}"
@@ -424,6 +426,14 @@ class ResourceLife:
         self.channel.configured()
         if self.device.watch is not None:
             await self.device.watch.arm()
+
+    async def _apply(self, settings: dict[str, Any]) -> None:
+        method = self.device.driver.method("apply").bound(**settings)
+        await self.channel.operations.run_errand(method, self._patience)
+
+    @property
+    def _patience(self) -> float:
+        return max(self.resource.deadline, 1.0)
 
     def status(self) -> ResourceStatus:
         channel = self.channel
