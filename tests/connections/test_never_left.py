@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import threading
 from collections.abc import AsyncIterator
 from typing import Any
@@ -180,7 +181,7 @@ class Patient(Blocking):
 
 
 @pytest.mark.promise("CALL-1", "CALL-2")
-@pytest.mark.parametrize("way", ["safe", "cancelled", "late"])
+@pytest.mark.parametrize("way", ["safe", "cancelled", "late", "expired"])
 async def test_what_is_given_up_in_a_line_is_never_begun(way: str) -> None:
     """Also where a driver waits for its turn by itself: its caller was told so."""
     motor, (low, _), go = Patient(), low_and_high("motor"), threading.Event()
@@ -188,7 +189,8 @@ async def test_what_is_given_up_in_a_line_is_never_begun(way: str) -> None:
     async with esair.Robot(resources=[motor], behaviors=[low]) as robot:
         other = asyncio.create_task(motor.line.call(go.wait, timeout=5.0))
         await asyncio.sleep(0.02)
-        writing = asyncio.create_task(low.motor.write(1.0))
+        soon = asyncio.get_running_loop().time() + 0.05 if way == "expired" else None
+        writing = asyncio.create_task(low.motor.write(1.0, expires=soon))
         await asyncio.sleep(0.02)
         if way == "safe":
             robot.actuators.channels["motor"].make_safe()
@@ -199,5 +201,6 @@ async def test_what_is_given_up_in_a_line_is_never_begun(way: str) -> None:
         await other
         await told(motor.done, 2)
         assert writing.done()
+        assert await low.motor.write(0.0, expires=math.inf)
     motor.line.close()
     assert set(motor.done) == {0.0}

@@ -248,7 +248,7 @@ async def test_the_owner_was_stopped_amid_a_turn(
     pair, hand = Pair(), Hand()
     async with pair.both(hand):
         monkeypatch.setattr(
-            "esair.connections._actuator_channel.clock_beside",
+            "esair.connections._gate.clock_beside",
             lambda loop: lambda: loop.time() + 0.3,
         )
         refused = await hand.wheels.write(Twist(0.1, 0.0))
@@ -265,7 +265,7 @@ async def test_the_owner_was_stopped_amid_a_check(
     pair, hand, stopped = Pair(), Hand(), [0.0]
     async with pair.both(hand) as (base, _):
         monkeypatch.setattr(
-            "esair.connections._actuator_channel.clock_beside",
+            "esair.connections._gate.clock_beside",
             lambda loop: lambda: loop.time() + stopped[0],
         )
         channel = base.actuators.channels["wheels"]

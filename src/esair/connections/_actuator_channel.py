@@ -18,6 +18,7 @@ from esair.connections._gate import (
     LastCommand,
     Registration,
     explain,
+    lateness,
     rule_of,
     shut,
     verdict,
@@ -35,10 +36,9 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Kind
-from esair.loop import REACHED, CallRefused, ask_outside, clock_beside
+from esair.loop import REACHED, CallRefused
 from esair.messages import Answer, Refused, ResourceState, Why, Written
 from esair.resources import Actuator
-from esair.values import check_moment
 
 if TYPE_CHECKING:
     from esair.connections._sensor_channel import AppliedChannel
@@ -338,7 +338,7 @@ class ActuatorChannel(Device):
             command = ready
         wire = self.wire
         # Late: between this look and the driver only guards take time, and then once more.
-        if expires is not None and (late := self._lateness(expires)) > 0.0:
+        if expires is not None and (late := lateness(self, expires)) > 0.0:
             return self._expired(registration, late)
         if wire.lane is not None or self.safe.state is not None:
             halts = self.gate.halts if numbers is None else numbers[0]
@@ -359,7 +359,7 @@ class ActuatorChannel(Device):
             # The code of a check, or a guard, takes its time, and may have halted.
             if numbers != self.gate.numbers or not registration.usable:
                 return self._fenced(registration, numbers[0])
-            if expires is not None and (late := self._lateness(expires)) > 0.0:
+            if expires is not None and (late := lateness(self, expires)) > 0.0:
                 self.make_safe()  # what it took over is nobody's any more
                 return self._expired(registration, late)
         if not self._dead_man.armed:
@@ -373,7 +373,7 @@ class ActuatorChannel(Device):
             self.make_safe()
             raise
         if sent is not None or wire.applied is not None:
-            return self._sent(sent, registration, command, asked, by)
+            return self._sent(sent, registration, command, asked, by, expires)
         # Most drivers say nothing.
         self.writes += 1
         if heard.applied:
@@ -388,18 +388,20 @@ class ActuatorChannel(Device):
         expired = self._too_late(registration, f"it expired {late:.3g} s ago")
         return self._refuse(registration, expired)
 
-    def _lateness(self, expires: float) -> float:
-        """Look at the clock itself: the process may have been stopped amid this turn."""
-        check_moment(self.name, "expires", expires)
-        clock = clock_beside(self.loop)
-        return ask_outside((self.name, "expires"), clock) - expires
-
     def _sent(
-        self, sent: Any, right: Registration, command: Any, asked: Any, by: str | None
+        self,
+        sent: Any,
+        right: Registration,
+        command: Any,
+        asked: Any,
+        by: str | None,
+        expires: float | None = None,
     ) -> Sent:
         """Return what comes of a command that the driver has."""
         if type(sent) is Call:
             sent.owner, sent.apply = right, self._ended
+            if expires is not None:
+                self.calls.withdraw_at(expires, sent)
             return Sending(self, sent, right, command, asked, by, self.gate.halts)
         self.writes += 1
         self.wire.took(command, sent)
@@ -497,8 +499,7 @@ class ActuatorChannel(Device):
         if not (is_over or self.safe.state or self.safe.overtaken(call)):
             if isinstance(end.error, CallRefused):
                 wire.told.command = wire.told.base
-            # What it took over is nobody's any more.
-            self.make_safe(stay=call.owner is None)
+            self.make_safe(stay=call.owner is None)  # what it took over is nobody's
         if call.ended is not None:  # else its driver still has the device
             self._lane_free(call)
 

@@ -30,6 +30,7 @@ from esair.loop import (
     COMMAND,
     ENDED,
     LASTS,
+    NEVER,
     REACHED,
     WAITS,
     Caller,
@@ -41,6 +42,7 @@ from esair.loop import (
     First,
     FirstSteps,
     LightTask,
+    Order,
     Player,
     TapeWriter,
     Urgency,
@@ -505,6 +507,11 @@ class Calls:
         if outcome.error is not None:
             raise outcome.error
         return outcome.value
+
+    def withdraw_at(self, moment: float, call: Call) -> None:
+        """Have a call refused that still waits for its turn on the bus at a moment."""
+        if moment < NEVER:
+            self._deadlines.at(moment, call.withdraw, order=Order.EXPIRY)
 
     def over(self, call: Call, value: Any, error: BaseException | None) -> None:
         """Let the end of a call take effect, in its turn."""

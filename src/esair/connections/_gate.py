@@ -26,8 +26,9 @@ from esair.exceptions import (
     StoppingError,
 )
 from esair.journal import Journal, Kind
-from esair.loop import REACHED, clock_beside
+from esair.loop import REACHED, ask_outside, clock_beside
 from esair.messages import Access, Refused, ResourceState, Why
+from esair.values import check_moment
 
 if TYPE_CHECKING:
     from esair.connections._device import Device
@@ -414,6 +415,13 @@ def shut(
     if error is not None or device.state is not READY:
         return device.absence()
     return None
+
+
+def lateness(device: Device, expires: float) -> float:
+    """Look at the clock itself: the process may have been stopped amid this turn."""
+    check_moment(device.name, "expires", expires)
+    clock = clock_beside(device.loop)
+    return ask_outside((device.name, "expires"), clock) - expires
 
 
 def verdict(
