@@ -31,7 +31,7 @@ import attrs
 
 import esair
 from esair.buses.peer import Network, PeerBus, Tls
-from esair.connections import _actuator_channel
+from esair.connections import _gate
 from esair.drivers.peer import Peer, PeerActuator
 from esair.loop import clock_beside
 from esair.peers import Share, Sharing
@@ -145,9 +145,7 @@ def base(certificates: str) -> esair.Robot:
 
         return look
 
-    _actuator_channel.clock_beside = (
-        beside  # it looks there before the driver is called
-    )
+    _gate.clock_beside = beside  # it looks there before the driver is called
     return robot
 
 
