@@ -706,3 +706,38 @@ async def test_blocking_drivers_on_one_bus_share_its_thread():
 
     assert len(set(threads)) == 1
     assert "line" in threads[0]
+
+
+@pytest.mark.promise("AC-4")
+@pytest.mark.parametrize("moves", [False, True])
+async def test_who_lets_go_for_another_robot_waits_until_it_is_safe(
+    moves: bool,
+) -> None:
+    """And hears whether the device has answered, if it was told to be safe."""
+    wheels = FakeActuator("wheels", safe=0.0, command_timeout=9.0)
+    user: Any = esair.Behavior(name="user", writes={"wheels": esair.writes(float)})
+    async with esair.Robot(resources=[wheels], behaviors=[user]):
+        if moves:
+            await user.wheels.write(1.0)
+        wheels.slow(0.05)
+        assert await user.wheels._let_go()
+        assert wheels.commands == ([0.0, 1.0, 0.0] if moves else [0.0])
+
+
+@pytest.mark.promise("ROB-2")
+async def test_the_stop_waits_for_a_write_in_flight_and_then_for_safe() -> None:
+    """Each has its time: who answers within its deadline has answered."""
+
+    wheels = FakeActuator("wheels", safe=0.0, command_timeout=0.3)
+    wheels.deadline = 1.0
+    user: Any = esair.Behavior(name="user", writes={"wheels": esair.writes(float)})
+    async with esair.Robot(resources=[wheels], behaviors=[user], grace=1.0) as robot:
+        wheels.slow(0.28)
+        wheels.swallow(1)
+        writing = asyncio.ensure_future(user.wheels.write(1.0))
+        await asyncio.sleep(0.01)
+        wheels.slow(0.95)
+    await asyncio.wait({writing})
+    writing.exception()
+    assert wheels.commands[-2:] == [1.0, 0.0]
+    assert robot.stopped[0].answered

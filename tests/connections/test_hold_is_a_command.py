@@ -1,6 +1,7 @@
 """Where `esair.HOLD` is the safe command it may be written, like any safe command."""
 
 import asyncio
+from typing import Any
 
 import pytest
 
@@ -19,8 +20,8 @@ class Arm(esair.Actuator[float]):
     limits = (0.0, 5.0)
     blocking = False
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, name: str | None = None) -> None:
+        super().__init__(name=name)
         self.told: list[object] = []
         self.place: float | None = 1.0
 
@@ -95,3 +96,30 @@ async def test_elsewhere_it_is_no_command() -> None:
         await robot.ended()
     assert "expected float, not esair.HOLD" in str(errors[0])
     assert esair.HOLD not in wheels.told
+
+
+class Place(Arm):
+    """Says where it stays when it is asked for nothing else, once at most."""
+
+    def write(self, command: float) -> float | None:
+        place, self.place = super().write(command), None
+        return place
+
+
+async def test_after_a_halt_it_goes_on_from_where_it_was_told_to_be() -> None:
+    """What it was told last is where it stays, unless its driver says otherwise."""
+    arm = Place(name="arm")
+    user: Any = esair.Behavior(name="user", writes={"arm": esair.writes(float)})
+    async with esair.Robot(resources=[arm], behaviors=[user]) as robot:
+        arm.place = None
+        for _ in range(20):
+            await user.arm.write(3.0)
+            await asyncio.sleep(0.2)
+        assert arm.told[-1] == 3.0
+        await robot.halt("a test")
+        assert arm.told[-1] is esair.HOLD
+        robot.resume()
+        await user.arm.write(0.0)
+        last = arm.told[-1]
+        assert isinstance(last, float)
+        assert 2.7 < last <= 3.0

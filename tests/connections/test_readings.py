@@ -490,3 +490,39 @@ async def test_an_array_that_never_changes_is_frozen() -> None:
             await user.camera.read(fresh=True)
         camera.feed(np.zeros(5))  # of another shape: it cannot be compared
         await user.camera.read(fresh=True)
+
+
+class Stream:
+    """An iterator that is no generator: it has nothing to be closed."""
+
+    def __init__(self, values: list[float]) -> None:
+        self.values = values
+
+    def __aiter__(self) -> Stream:
+        return self
+
+    async def __anext__(self) -> float:
+        if not self.values:
+            raise StopAsyncIteration
+        return self.values.pop(0)
+
+
+@pytest.mark.promise("SC-1")
+@pytest.mark.parametrize("count", [99, 100, 101, 250])
+async def test_a_stream_may_be_any_iterator_and_have_many_values_at_once(
+    count: int,
+) -> None:
+    """All come in without a pause; then its end is a loss like any other."""
+
+    class Pushes(esair.Sensor[float]):
+        def stream(self) -> Any:
+            return Stream([float(n) for n in range(count)])
+
+    began = asyncio.get_running_loop().time()
+    async with esair.Robot(resources=[Pushes()]) as robot:
+        channel = robot.sensors.channel("pushes")
+        while channel.sequence < count:  # noqa: ASYNC110 - it tells nobody
+            await asyncio.sleep(0)
+        assert asyncio.get_running_loop().time() == began
+        await asyncio.sleep(0.01)
+        assert "its stream has ended" in str(robot.resources.query("pushes").error)

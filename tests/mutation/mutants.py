@@ -117,6 +117,10 @@ def _says_something(node: ast.AST) -> bool:
             return True
         case ast.FunctionDef(name=name):
             return name in NOT_CALLED
+        case ast.keyword(
+            arg="init"
+        ):  # attrs would write an `__init__` that nobody calls
+            return True
         case ast.Import() | ast.ImportFrom() | ast.Assert():
             return True
         case ast.Assign(targets=[ast.Name(id=name)]):

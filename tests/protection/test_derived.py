@@ -605,3 +605,29 @@ async def test_the_rights_of_a_derived_one_end_with_each_of_its_openings() -> No
             await asyncio.sleep(0.5)
         await robot.resources.remove("distance")
         assert live() == []
+
+
+@pytest.mark.parametrize("bad", [math.nan, "rubbish"])
+async def test_who_wants_a_fresh_value_gets_no_old_one_for_a_bad_one(bad: Any) -> None:
+    """What was computed of fresh readings and is no good is an error, or nothing."""
+
+    class Odd(esair.Derived[float]):
+        sonar = esair.reads(float)
+
+        def compute(self, sonar: float) -> float:
+            return bad if sonar > 1.0 else sonar  # type: ignore[no-any-return]
+
+    class Sonar(esair.Sensor[float]):
+        rate = 1.0
+        now = 1.0
+
+        async def read(self) -> float:
+            return self.now
+
+    sonar = Sonar()
+    user: Any = esair.Behavior(name="user", reads={"odd": esair.reads(float)})
+    async with esair.Robot(resources=[sonar, Odd()], behaviors=[user]):
+        assert await user.odd.read(fresh=True) == 1.0
+        sonar.now = 2.0
+        with pytest.raises(esair.EsairError):
+            await user.odd.read(fresh=True, timeout=0.5)

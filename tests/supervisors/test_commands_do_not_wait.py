@@ -403,3 +403,24 @@ async def test_who_gives_up_the_restart_of_a_device_has_it_happen() -> None:
         await replacing
         await asyncio.sleep(1.0)
         assert (old.openings, new.openings) == (1, 2)
+
+
+@pytest.mark.parametrize("verb", ["remove", "replace"])
+async def test_a_device_that_is_slow_to_close_keeps_no_command_waiting(
+    verb: str,
+) -> None:
+    """It is fenced in one step; what follows goes its own way."""
+
+    class Motor(FakeActuator[float]):
+        async def close(self) -> None:
+            await asyncio.sleep(0.2)
+            await super().close()
+
+    parts = [Motor("motor", safe=0.0), FakeActuator("other", safe=0.0)]
+    async with esair.Robot(resources=parts) as robot:
+        terms = ["motor", FakeActuator("motor", safe=0.0)][: 1 + (verb == "replace")]
+        going = await soon(getattr(robot.resources, verb)(*terms))
+        with takes(0.0, 0.1):
+            await robot.resources.restart("other")
+        assert not going.done()
+        await going
