@@ -208,7 +208,8 @@ class Resource(abc.Resource):
 
             The attributes change after this returns. If it raises, it is called again
             with the values from before. After each opening it is called with all the
-            settings that differ from their defaults.
+            settings that differ from their defaults. Nothing but the safe command is
+            called beside it.
             """
 
         async def is_set_up(self) -> bool:
