@@ -375,6 +375,7 @@ async def test_what_a_step_moved_is_safe_when_it_ends(mine: int, how: str) -> No
             return None if how == "it gave back" and sonar > 5.0 else 0.7
 
     sonar, wheels = devices()
+    wheels.command_timeout = 9.0
     performs = Performs(name="performs")
     async with esair.Robot(resources=[sonar, wheels], behaviors=[performs]):
         until = (lambda sonar: sonar > 5.0) if how == "until" else None

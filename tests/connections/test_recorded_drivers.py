@@ -86,3 +86,30 @@ def test_what_plain_drivers_do_is_repeated(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(Counter, "read", never)
     monkeypatch.setattr(Pin, "write", never)
     assert run(TurnLoop(player=Player(tape)), tape) == live
+
+
+def test_who_asks_gets_the_error_of_the_driver_while_it_is_recorded() -> None:
+    """And the same when it is repeated."""
+    told: list[str] = []
+
+    class Broken(esair.Sensor[float]):
+        blocking = False
+        rate = 1.0
+
+        def read(self) -> float:
+            raise ValueError("no acknowledge")
+
+    async def main() -> None:
+        user: Any = esair.Behavior(name="user", reads={"broken": esair.reads(float)})
+        loop: Any = asyncio.get_running_loop()
+        tape: list[Any] = []
+        loop.keep(TapeWriter(tape.append))
+        async with esair.Robot(resources=[Broken()], behaviors=[user]):
+            with pytest.raises(esair.DeviceFaultError) as raised:
+                await user.broken.read()
+            told.append(str(raised.value))
+        loop.keep(None)
+
+    with asyncio.Runner(loop_factory=TurnLoop) as runner:
+        runner.run(main())
+    assert "ValueError: no acknowledge" in told[0]

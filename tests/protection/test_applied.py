@@ -404,3 +404,32 @@ async def test_a_safe_command_that_is_refused_when_it_opens_is_sent_again() -> N
         wheels.refuses = ()
         await asyncio.sleep(0.3)
         assert robot.actuators.channel("wheels").is_safe
+
+
+@pytest.mark.promise("AC-4", "GRD-4")
+async def test_what_was_refused_while_a_watchdog_answers_late_is_sent_again() -> None:
+    """It is not ready before that; then it is told at once what it has refused."""
+    wheels = Refusing(waits=0.0)
+
+    class Eye:
+        async def open(self) -> None:
+            await asyncio.sleep(2.0)
+
+        async def arm(self) -> None: ...
+
+        async def drop(self, _within: float | None = None) -> None: ...
+
+        def is_safe(self) -> None: ...
+
+    async with esair.Robot(resources=[wheels]) as robot:
+        life = robot._resources.lives["wheels"]
+        life.device.watch = Eye()  # type: ignore[assignment]
+        wheels.refuses = (0.0,)
+        restarting = asyncio.create_task(robot.resources.restart("wheels"))
+        await asyncio.sleep(1.0)
+        wheels.refuses = ()
+        await restarting
+        assert not robot.actuators.channel("wheels").is_safe
+        await asyncio.sleep(0.5)
+        assert robot.actuators.channel("wheels").is_safe
+        life.device.watch = None

@@ -1130,3 +1130,32 @@ async def test_an_answer_of_a_wrong_type_is_the_workers_mistake(how: str) -> Non
     async with esair.Robot(behaviors=[a, worker]):
         with pytest.raises(esair.BehaviorFailedError, match="expected Docked, not 3"):
             await a.ask("b", Dock(1), timeout=5.0)
+
+
+@pytest.mark.promise("BS-8")
+@pytest.mark.parametrize("given_up", [False, True])
+async def test_a_request_that_did_not_reach_who_took_it_is_the_first_again(
+    given_up: bool,
+) -> None:
+    """Unless nobody waits for its answer any more."""
+
+    class Taker(Idle):
+        orders = esair.takes(Dock)
+
+    taker = Taker(name="taker")
+    a, b = Idle(name="a"), Idle(name="b")
+    async with esair.Robot(behaviors=[a, b, taker]):
+        asks = [await soon(each.ask("taker", Dock(n))) for n, each in enumerate((a, b))]
+        loop = aiter(taker.orders)
+        assert (await anext(loop)).bay == 0
+        if given_up:
+            asks[0].cancel()
+            await asyncio.wait({asks[0]})
+        loop.put_back()
+        bays = []
+        for _ in range(2 - given_up):
+            request = await anext(loop)
+            bays.append(request.bay)
+            request.answer(Docked(request.bay))
+        assert bays == [0, 1][given_up:]
+        assert await asks[1] == Docked(1)

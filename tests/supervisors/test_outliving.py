@@ -153,3 +153,28 @@ async def test_what_has_failed_for_good_says_so_to_its_own_code() -> None:
                 await work
         with pytest.raises(esair.BehaviorFailedError, match="RuntimeError: no"):
             behavior.offer(1)
+
+
+async def test_a_clean_up_has_its_grace_whoever_ends_the_behavior_again() -> None:
+    """A stop during a removal cancels it no second time before that is over."""
+    told: list[str] = []
+
+    class Cleans(esair.Behavior):
+        async def run(self) -> None:
+            try:
+                await asyncio.sleep(1000.0)
+            finally:
+                try:
+                    await asyncio.sleep(0.5)
+                    told.append("clean")
+                except asyncio.CancelledError:
+                    told.append("cut off")
+                    raise
+
+    async with esair.Robot(behaviors=[Cleans()], grace=1.0) as robot:
+        await asyncio.sleep(0.1)
+        removal = asyncio.create_task(robot.behaviors.remove("cleans"))
+        await asyncio.sleep(0.2)
+        await robot.stop("a test")
+        await asyncio.wait({removal})
+    assert told == ["clean"]

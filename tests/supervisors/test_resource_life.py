@@ -14,6 +14,7 @@ from tests.patience import within
 
 import esair
 from esair import ResourceState
+from esair.testing import FakeActuator
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -1025,3 +1026,69 @@ async def test_a_device_that_cannot_be_opened_comes_when_it_comes(
         sonar.there = True
         await asyncio.sleep(5.0)
         assert await user.sonar.read() == 1.0
+
+
+@pytest.mark.promise("ROB-2", "RS-4")
+@pytest.mark.parametrize("verb", ["remove", "stop"])
+async def test_what_is_lost_as_it_is_made_safe_gets_its_last_try(verb: str) -> None:
+    """It may move still: it is opened once more, and told."""
+    motor = FakeActuator("motor", safe=0.0, command_timeout=9.0)
+    user: Any = esair.Behavior(name="user", writes={"motor": esair.writes(float)})
+    async with esair.Robot(resources=[motor], behaviors=[user]) as robot:
+        await user.motor.write(1.0)
+        motor.fail(ConnectionError("cable"))
+        if verb == "remove":
+            await robot.resources.remove("motor")
+        else:
+            await robot.stop("a test")
+    assert motor.opened == 2
+    assert motor.commands[-1] == 0.0
+    assert not motor.is_open
+
+
+@pytest.mark.promise("ROB-2", "CALL-4")
+async def test_a_last_try_closes_what_was_opened_late() -> None:
+    """No device is opened twice, whatever was given up before."""
+
+    class Late(esair.Actuator[float]):
+        safe = 0.0
+        deadline = 0.05
+
+        def __init__(self) -> None:
+            super().__init__(name="late")
+            self.log: list[object] = []
+            self.hangs = self.gone = False
+
+        async def open(self) -> None:
+            if self.gone:
+                raise ConnectionError("not there")
+            if self.hangs:
+                self.gone = True
+                until = asyncio.get_running_loop().time() + 20.0
+                while (left := until - asyncio.get_running_loop().time()) > 0.0:
+                    with contextlib.suppress(asyncio.CancelledError):
+                        await asyncio.sleep(left)
+                self.hangs = self.gone = False
+            self.log.append("open")
+
+        async def close(self) -> None:
+            self.log.append("close")
+
+        async def write(self, command: float) -> None:
+            self.log.append(command)
+
+    late = Late()
+    async with esair.Robot(resources=[late], grace=1.0) as robot:
+        late.hangs = True
+        late.report_lost(ConnectionError("cable"))
+        await asyncio.sleep(0.1)
+        late.log.clear()
+        while "open" not in late.log:  # noqa: ASYNC110 - it tells nobody
+            await asyncio.sleep(0.001)
+        state = robot.resources.query("late").state
+        assert state is ResourceState.LOST
+    opened = 0
+    for each in late.log:
+        opened += (each == "open") - (each == "close")
+        assert opened <= 1
+    assert late.log[-2:] == [0.0, "close"]
