@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import itertools
 import logging
 import threading
@@ -1092,3 +1093,31 @@ async def test_a_last_try_closes_what_was_opened_late() -> None:
         opened += (each == "open") - (each == "close")
         assert opened <= 1
     assert late.log[-2:] == [0.0, "close"]
+
+
+@pytest.mark.promise("RES-2")
+@pytest.mark.parametrize("silent", [True, False])
+@pytest.mark.parametrize("depth", [1, 2, 3])
+async def test_a_part_that_acknowledges_nothing_is_waited_for(
+    depth: int, silent: bool
+) -> None:
+    """However deep a driver has wrapped that, in a circle too; any other fault is one."""
+
+    class Sonar(esair.Sensor[float]):
+        async def open(self) -> None:
+            first = OSError(errno.EREMOTEIO if silent else errno.EPERM, "it says")
+            error: Exception = first
+            for n in range(depth):
+                outer = ValueError(f"layer {n}")
+                outer.__cause__ = error
+                error = outer
+            first.__cause__ = error
+            raise error
+
+        async def read(self) -> float:
+            return 1.0
+
+    async with esair.Robot(resources=[Sonar()]) as robot:
+        await asyncio.sleep(300.0)
+        failed = robot.resources.query("sonar").state is ResourceState.FAILED
+        assert failed is not silent

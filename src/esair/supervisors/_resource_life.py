@@ -474,7 +474,7 @@ class ResourceLife:
             return  # it was removed meanwhile: nobody would close it again
         seconds = min(LAST_TRY, until - self._loop.time())
         # A motion may live longer than that: better safe before its end than never.
-        opening = self._open_once(patience=seconds / 2)
+        opening = self._try_to_open(patience=seconds / 2)
         trying = spawn(self._loop, opening, name=f"{name} opening")
         self._task = trying
         await Deadlines.of(self._loop).wait(trying, seconds)
@@ -486,10 +486,6 @@ class ResourceLife:
         else:
             await self.device.calls.quiet(until)
             await channel.safe.at_last(until - self._loop.time())
-
-    async def _open_once(self, patience: float) -> BaseException | None:
-        await self.device.close()
-        return await self._try_to_open(patience)
 
     async def stop(self, until: float) -> None:
         """Close the device, whatever it is doing."""
