@@ -145,7 +145,10 @@ async def test_readings_that_a_loop_has_not_taken(user_of: Any) -> None:
             sonar.feed(value)
             await asyncio.sleep(0.001)
         assert await anext(values) == 3.5
-        assert robot.sensors.channel("sonar").counts()["dropped"] == 2
+        counts = robot.sensors.channel("sonar").counts()
+        once = {"readings": 4, "dropped": 2, "transactions": 1}
+        assert counts == NONE_OF_A_SENSOR | once
+        assert robot.resources.query("sonar").faults == 0
         await values.aclose()
 
 

@@ -526,3 +526,21 @@ async def test_a_stream_may_be_any_iterator_and_have_many_values_at_once(
         assert asyncio.get_running_loop().time() == began
         await asyncio.sleep(0.01)
         assert "its stream has ended" in str(robot.resources.query("pushes").error)
+
+
+@pytest.mark.promise("SC-3")
+async def test_a_loop_that_is_busy_keeps_no_reading_from_another() -> None:
+    """One that has not come back yet, and one that waits: both follow the same sensor."""
+    sonar = FakeSensor("sonar", 1.0, type=float, rate=1.0)
+    user: Any = esair.Behavior(name="user", reads={"sonar": esair.reads(float)})
+    async with esair.Robot(resources=[sonar], behaviors=[user]):
+        busy, other = aiter(user.sonar), aiter(user.sonar)
+        assert await asyncio.gather(anext(busy), anext(other)) == [1.0, 1.0]
+        for value in (2.0, 3.0):
+            waiting = asyncio.create_task(anext(other))
+            await asyncio.sleep(0.01)
+            sonar.feed(value)
+            assert await asyncio.wait_for(waiting, 0.1) == value
+        assert await anext(busy) == 3.0
+        await busy.aclose()
+        await other.aclose()

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 import esair
+from esair.testing import FakeActuator
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -472,3 +473,19 @@ async def test_a_write_that_the_unplugging_cut_off_is_never_repeated(
         assert robot.resources.query("arm").state is esair.ResourceState.READY
 
     assert set(wire[sent:]) == {0}
+
+
+@pytest.mark.promise("AC-1")
+async def test_what_is_in_flight_is_not_answered_yet() -> None:
+    """Who looks what an actuator was told sees that, also after one that was taken."""
+    wheels = FakeActuator("wheels", safe=0.0)
+    user: Any = esair.Behavior(name="user", writes={"wheels": esair.writes(float)})
+    async with esair.Robot(resources=[wheels], behaviors=[user]) as robot:
+        channel = robot.actuators.channels["wheels"]
+        assert channel.told().answered
+        wheels.slow(0.05)
+        writing = asyncio.create_task(user.wheels.write(1.0))
+        await asyncio.sleep(0.01)
+        assert (channel.told().command, channel.told().answered) == (1.0, False)
+        await writing
+        assert channel.told().answered

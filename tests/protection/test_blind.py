@@ -739,3 +739,36 @@ async def test_who_is_parked_because_another_device_has_come_is_blind() -> None:
         assert "sonar" in detail
         assert {each.rule for each in drive.answers} == {f"watch is blind: {detail}"}
         assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.promise("PRO-1", "SUP-4")
+async def test_who_is_restarted_has_decided_nothing_yet() -> None:
+    """The reason is its own, as at its first start: nothing of the run before."""
+    rules: list[str] = []
+    sonar, wheels = ranges(), Wheels()
+    async with esair.Robot(
+        resources=[sonar, wheels], behaviors=[ObstacleStop(name="avoid")]
+    ) as robot:
+        await asyncio.sleep(0.52)
+        restarting = asyncio.create_task(robot.behaviors.restart("avoid"))
+        while not restarting.done():
+            await asyncio.sleep(0)
+            rules.append(robot.resources.why("wheels").rule)
+        await restarting
+    blind = {rule for rule in rules if "blind" in rule}
+    assert blind == {"avoid is blind: it has not decided yet"}
+
+
+@pytest.mark.promise("PRO-1")
+@pytest.mark.parametrize("at", [0.0, 0.5, 3.0])
+async def test_who_cannot_see_from_the_start_is_blind_since_then(at: float) -> None:
+    """Whenever that was, by the clock of the loop."""
+    sonar, wheels = ranges(), Wheels()
+    sonar.unplug()
+    await asyncio.sleep(at)
+    began = asyncio.get_running_loop().time()
+    async with esair.Robot(
+        resources=[sonar, wheels], behaviors=[ObstacleStop(name="avoid")]
+    ) as robot:
+        await asyncio.sleep(1.0)
+        assert robot.resources.why("wheels").since == pytest.approx(began, abs=0.01)

@@ -631,3 +631,16 @@ async def test_who_wants_a_fresh_value_gets_no_old_one_for_a_bad_one(bad: Any) -
         sonar.now = 2.0
         with pytest.raises(esair.EsairError):
             await user.odd.read(fresh=True, timeout=0.5)
+
+
+async def test_a_source_that_is_not_there_is_the_cause_of_its_absence() -> None:
+    """Who reads what is computed of it finds the reason."""
+    left, right, _ = rover()
+    left.unplug()
+    user: Any = esair.Behavior(name="user", reads={"distance": esair.reads(float)})
+    async with esair.Robot(resources=[Distance(), left, right], behaviors=[user]):
+        with pytest.raises(esair.DeviceLostError, match="its source") as raised:
+            await user.distance.read()
+        cause = raised.value.__cause__
+        assert isinstance(cause, esair.EsairError)
+        assert str(cause) == "device of 'left' is lost: it is unplugged"

@@ -178,3 +178,24 @@ async def test_a_clean_up_has_its_grace_whoever_ends_the_behavior_again() -> Non
         await robot.stop("a test")
         await asyncio.wait({removal})
     assert told == ["clean"]
+
+
+async def test_the_tasks_of_a_behavior_end_with_its_run() -> None:
+    """Also where that has returned: nothing of it goes on."""
+    ended: list[bool] = []
+
+    async def child() -> None:
+        try:
+            await asyncio.sleep(1000.0)
+        finally:
+            ended.append(True)
+
+    class Parent(esair.Behavior):
+        async def run(self) -> None:
+            self.child = asyncio.create_task(child())
+            await asyncio.sleep(0.1)
+
+    async with esair.Robot(behaviors=[Parent(), Idle(name="other")]) as robot:
+        await asyncio.sleep(0.2)
+        state = robot.behaviors.query("parent").state
+        assert (state, ended) == (esair.BehaviorState.FINISHED, [True])
