@@ -298,8 +298,8 @@ async def test_the_user_may_restart_a_behavior(before: str) -> None:
         with takes(0.0, 0.01):
             await robot.behaviors.restart("counts")
         await asyncio.sleep(0.1)
-        state = robot.behaviors.query("counts").state
-        assert state is esair.BehaviorState.RUNNING
+        status = robot.behaviors.query("counts")
+        assert (status.state, status.error) == (esair.BehaviorState.RUNNING, None)
         assert behavior.runs == 2
         assert await behavior.receive() == "kept"
         with pytest.raises(esair.UnknownNameError):

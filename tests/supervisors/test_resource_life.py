@@ -1002,8 +1002,9 @@ def translated(error: OSError) -> esair.DeviceFaultError:
         PermissionError(13, "denied"),
         OSError(16, "busy"),
         translated(OSError(121, "nobody answers")),
+        translated(OSError(16, "busy")),
     ],
-    ids=["unknown", "denied", "busy", "fault"],
+    ids=["unknown", "denied", "busy", "silent in other words", "busy in other words"],
 )
 async def test_a_device_that_cannot_be_opened_comes_when_it_comes(
     error: OSError,
@@ -1121,3 +1122,19 @@ async def test_a_part_that_acknowledges_nothing_is_waited_for(
         await asyncio.sleep(300.0)
         failed = robot.resources.query("sonar").state is ResourceState.FAILED
         assert failed is not silent
+
+
+@pytest.mark.promise("RES-2")
+async def test_a_fault_that_the_device_itself_shows_is_not_waited_for() -> None:
+    """The system has given it no number: it would be the same for ever."""
+
+    class Sonar(esair.Sensor[float]):
+        async def open(self) -> None:
+            raise esair.DeviceFaultError("sonar", "its memory is broken")
+
+        async def read(self) -> float:
+            return 1.0
+
+    async with esair.Robot(resources=[Sonar()]) as robot:
+        await asyncio.sleep(300.0)
+        assert robot.resources.query("sonar").state is ResourceState.FAILED
