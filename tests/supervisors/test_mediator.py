@@ -1200,3 +1200,17 @@ async def test_who_waits_for_its_inbox_is_woken_for_its_own_alone() -> None:
         for name, task in zip("cba", reversed(waiting), strict=True):
             await robot.behaviors.put(name, sender="user", receiver=name)
             assert await asyncio.wait_for(task, 0.1) == name
+
+
+@pytest.mark.promise("BS-6")
+async def test_what_everybody_may_have_is_not_given_back() -> None:
+    """Who is cancelled as it comes takes nothing from others, and leaves nothing."""
+    a, b = Idle(name="a"), Idle(name="b")
+    async with esair.Robot(behaviors=[a, b]):
+        asking = await soon(a.get("b", 5.0))
+        b.offer(1, latest=True)
+        asking.cancel()
+        await asyncio.wait({asking})
+        assert asking.cancelled()
+        b.offer(2)
+        assert await a.get("b") == 2

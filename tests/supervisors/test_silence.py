@@ -10,6 +10,7 @@ import pytest
 
 import esair
 from esair import ResourceState
+from esair.messages import Stamped
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
@@ -290,3 +291,34 @@ async def test_each_restart_of_a_device_is_answered_soon() -> None:
             wheels.power_cycle()
             await asyncio.sleep(wheels.set_up_period + 0.2)
             assert robot.resources.query("wheels").state is ResourceState.READY
+
+
+@pytest.mark.parametrize("ago", [0.0, 0.2])
+async def test_a_device_is_silent_that_says_nothing_after_a_question(
+    ago: float,
+) -> None:
+    """Also where its last reading came in the very moment of that."""
+    sonar = FakeSensor("sonar", 1.0, type=float, rate=1.0)
+    user: Any = esair.Behavior(name="user", reads={"sonar": esair.reads(float)})
+    async with esair.Robot(resources=[sonar], behaviors=[user]):
+        await user.sonar.read(fresh=True)
+        await asyncio.sleep(ago)
+        sonar.stall()
+        with pytest.raises(esair.StaleReadingError, match="did not answer in"):
+            await user.sonar.read(fresh=True, timeout=0.5)
+
+
+async def test_a_device_that_answers_with_what_is_old_is_not_silent() -> None:
+    """It has said something since: only that was measured too early."""
+
+    class Slow(esair.Sensor[float]):
+        rate = 10.0
+
+        async def read(self) -> Any:
+            return Stamped(1.0, asyncio.get_running_loop().time() - 60.0)
+
+    user: Any = esair.Behavior(name="user", reads={"slow": esair.reads(float)})
+    async with esair.Robot(resources=[Slow()], behaviors=[user]):
+        with pytest.raises(esair.StaleReadingError) as raised:
+            await user.slow.read(fresh=True, timeout=0.5)
+        assert "did not answer" not in str(raised.value)
