@@ -383,8 +383,9 @@ async def test_a_safe_command_that_is_refused_is_sent_again(
             _ = user.applied.newest
         wheels.refuses = ()
         if moves:
-            assert await user.wheels.write(2.0, hold=0.1)
-            await asyncio.sleep(0.1)
+            for _ in range(10):  # longer than until it would be sent again
+                assert await user.wheels.write(2.0, hold=0.1)
+                await asyncio.sleep(0.05)
             assert wheels.told.count(0.0) == refused
             return
         await asyncio.sleep(0.5)
