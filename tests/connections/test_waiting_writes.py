@@ -11,6 +11,7 @@ import pytest
 import esair
 from esair.buses import Bus
 from esair.journal import Event, Kind
+from esair.loop import Deadlines
 from esair.testing import FakeActuator
 
 pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("AC-1")]
@@ -189,3 +190,15 @@ async def test_one_that_has_expired_leaves_no_more(user_of: Any) -> None:
         assert "expired" in second.rule
         assert not await user.motor.write(4.0, expires=now)
         assert motor.commands == [0.0, 1.0, 3.0]
+
+
+async def test_one_that_expires_in_an_hour_is_not_kept_so_long(user_of: Any) -> None:
+    """Once the device has it, nothing waits for that moment."""
+    motor, user = Motor(), user_of("user", motor=esair.writes(float))
+    motor.slow(0.001)
+    async with esair.Robot(resources=[motor], behaviors=[user]):
+        loop = asyncio.get_running_loop()
+        before, hour = len(Deadlines.of(loop).waiting), loop.time() + 3600.0
+        for number in range(50):
+            assert await user.motor.write(float(number), expires=hour)
+        assert len(Deadlines.of(loop).waiting) < before + 10

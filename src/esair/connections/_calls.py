@@ -30,7 +30,6 @@ from esair.loop import (
     COMMAND,
     ENDED,
     LASTS,
-    NEVER,
     REACHED,
     WAITS,
     Caller,
@@ -510,7 +509,7 @@ class Calls:
 
     def withdraw_at(self, moment: float, call: Call) -> None:
         """Have a call refused that still waits for its turn on the bus at a moment."""
-        if moment < NEVER:
+        if moment < call.until:  # it has its outcome by then, and may be forgotten
             self._deadlines.at(moment, call.withdraw, order=Order.EXPIRY)
 
     def over(self, call: Call, value: Any, error: BaseException | None) -> None:
