@@ -148,3 +148,36 @@ async def test_a_device_that_is_busy_for_long_keeps_its_settings(user_of: Any) -
         assert motor.gain == 1.0
         motor.slow(0.0)
         await writing
+
+
+@pytest.mark.promise("CALL-1", "AC-1")
+@pytest.mark.parametrize("after", [False, True])
+@pytest.mark.parametrize("what", ["settings", "operation"])
+async def test_a_write_waits_for_what_takes_longer_than_a_write(
+    what: str, after: bool, user_of: Any
+) -> None:
+    """Nobody fails because somebody else has the device for a time that it may take."""
+
+    class Valve(Motor):
+        deadline = 0.2
+
+        @esair.operation(deadline=2.0)
+        async def flush(self) -> None:
+            await self.does("flush", 0.9)
+
+    valve, user = Valve(), user_of("user", valve=esair.writes(float, configure=True))
+    async with esair.Robot(resources=[valve], behaviors=[user]):
+        first = asyncio.ensure_future(user.valve.write(1.0)) if after else None
+        await asyncio.sleep(0.011)
+        second = asyncio.ensure_future(user.valve.write(2.0)) if after else None
+        if what == "settings":
+            other = asyncio.ensure_future(user.valve.configure(gain=2.0))
+        else:
+            other = asyncio.ensure_future(user.valve.operate("flush"))
+        await asyncio.sleep(0.05)
+        assert await (second or user.valve.write(2.0))
+        await other
+        if first is not None:
+            await first
+        assert valve.done[-1] == "2.0"
+    assert valve.met == set()

@@ -107,7 +107,7 @@ class ActuatorChannel(Device):
             self, self.gate, self.hold, self.guards, wire, self.safe
         )
         self._dead_man = self.stillness.dead_man
-        self._waiting = WaitingWrites(actuator.name, self.loop)
+        self._waiting = WaitingWrites(actuator.name, self.loop, wire.busy_for)
         self.decision: Decision = Decision(self)  # what reactions want in this turn
         self.attach(actuator)
 
@@ -595,15 +595,14 @@ class ActuatorChannel(Device):
         halts: int,
         expires: float | None = None,
     ) -> Written[Any] | Refused:
-        current, limit = self.operations.current, self.actuator.deadline
+        current = self.operations.current
         if current is not None and current.call is not None:
-            limit += max(0.0, current.until - self.time())
             right, told = current.registration, rule_of(registration)
             if registration.priority > right.priority:  # that is finished first
                 denied = AccessDeniedError(right.behavior, self.name, OPERATE, told)
                 self.operations.end(denied)
                 self.make_safe(stay=True)
-        # Not for ever: what leaves late is old.
+        limit = self.actuator.deadline  # what leaves late is old
         sent = await self._waiting.turn(
             registration, command, hold, halts, expires, limit
         )

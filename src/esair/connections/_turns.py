@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
+from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -11,7 +12,7 @@ import attrs
 
 from esair.connections._gate import Registration
 from esair.exceptions import BusyError, NoTurnError
-from esair.loop import Deadlines, Scheduler, fail, has_come
+from esair.loop import Deadline, Deadlines, Scheduler, fail, has_come
 from esair.messages import Refused, Written
 
 if TYPE_CHECKING:
@@ -151,6 +152,7 @@ class WaitingWrite:
     halts: int
     expires: float | None
     turn: asyncio.Future[Sent]
+    deadline: Deadline | None = None
 
     def end(self, end: Sent | Exception) -> None:
         if isinstance(end, Exception):
@@ -165,6 +167,8 @@ class WaitingWrites:
 
     _name: str
     _loop: asyncio.AbstractEventLoop
+    _others: Callable[[], float]
+    """For how long at most the device is busy with what is no command, in seconds."""
     _writes: list[WaitingWrite] = attrs.field(factory=list)
     turned_away: int = 0
 
@@ -190,8 +194,8 @@ class WaitingWrites:
         turn: asyncio.Future[Sent] = self._loop.create_future()
         write = WaitingWrite(registration, command, hold, halts, expires, turn)
         self._writes.append(write)
-        late = NoTurnError(self._name, "write", limit)
-        deadline = Deadlines.of(self._loop).after(limit, write.end, late)
+        deadlines = Deadlines.of(self._loop)
+        write.deadline = deadlines.after(limit, self._expire, write, limit)
         try:
             return await turn
         except asyncio.CancelledError:
@@ -202,8 +206,17 @@ class WaitingWrites:
                     call.cancel()
             raise
         finally:
-            deadline.cancel()
+            write.deadline.cancel()
             self.remove(write)
+
+    def _expire(self, write: WaitingWrite, limit: float, *, last: bool = False) -> None:
+        """End a wait; but once what has made it so long may end, and others have a turn."""
+        seconds = 0.0 if last else self._others()
+        if seconds > 0.0:
+            last_time = partial(self._expire, write, limit, last=True)
+            write.deadline = Deadlines.of(self._loop).after(seconds + limit, last_time)
+        else:
+            write.end(NoTurnError(self._name, "write", limit))
 
     def above(self, priority: int) -> Registration | None:
         """Return by which right of a higher priority one waits."""

@@ -257,6 +257,13 @@ class Wire:
         fault = DeviceFaultError(self._device.name, f"it has applied: {told}")
         return fault if told else None
 
+    def busy_for(self) -> float:
+        """Tell for how long at most the device has something else than a command."""
+        lane = self.lane
+        if lane is None or lane.kind == "write":
+            return 0.0
+        return lane.until - self._device.time()
+
     def unsettled(self) -> Call | None:
         """Return a call that is alive, and may still undo what it was told since.
 
