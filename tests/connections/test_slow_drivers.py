@@ -452,3 +452,44 @@ async def test_no_motion_leaves_beside_a_safe_command_that_was_sent_once_more(
         assert await first
         assert takes == []
         assert beside == []
+
+
+@pytest.mark.promise("AC-2", "AC-3")
+@pytest.mark.virtual_clock
+@pytest.mark.parametrize("seconds", [0.0, 0.01])
+async def test_what_the_device_fails_at_ends_the_motion_that_it_took_over(
+    seconds: float, user_of: Any
+) -> None:
+    """However often it is tried: else each try would renew the motion's time-out."""
+    motor = FakeActuator("motor", safe=0.0, command_timeout=0.2)
+    motor.fault_limit = 1000
+    low = user_of("low", motor=esair.writes(float))
+    high = user_of("high", motor=esair.writes(float, priority=9))
+    async with esair.Robot(resources=[motor], behaviors=[low, high]):
+        assert await low.motor.write(1.0)
+        motor.slow(seconds)
+        for _ in range(7):
+            motor.fail(OSError("a spike"))
+            with pytest.raises(esair.DeviceFaultError, match="a spike"):
+                await high.motor.write(2.0)
+            await asyncio.sleep(0.05)
+        assert motor.commands == [0.0, 1.0, 0.0]
+        assert motor.landed[-1] < 0.1
+        assert await high.motor.write(2.0)
+
+
+@pytest.mark.promise("AC-2")
+@pytest.mark.virtual_clock
+async def test_a_fault_at_a_command_of_the_same_writer_leaves_it_moving(
+    user_of: Any,
+) -> None:
+    """It hears of it, and may try again: nobody else has lost the actuator."""
+    motor = FakeActuator("motor", safe=0.0, command_timeout=0.2)
+    user = user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]):
+        assert await user.motor.write(1.0)
+        motor.fail(OSError("a spike"))
+        with pytest.raises(esair.DeviceFaultError, match="a spike"):
+            await user.motor.write(2.0)
+        assert await user.motor.write(3.0)
+        assert motor.commands == [0.0, 1.0, 3.0]

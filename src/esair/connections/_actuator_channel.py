@@ -28,6 +28,7 @@ from esair.connections._turns import Decision, Sent, WaitingWrites
 from esair.connections._wire import NOT_YET, SafeCommand, Wire
 from esair.exceptions import (
     AccessDeniedError,
+    DeviceFaultError,
     EsairError,
     HaltedError,
     NoTurnError,
@@ -107,7 +108,7 @@ class ActuatorChannel(Device):
             self, self.gate, self.hold, self.guards, wire, self.safe
         )
         self._dead_man = self.stillness.dead_man
-        self._waiting = WaitingWrites(actuator.name, self.loop, wire.busy_for)
+        self._waiting = WaitingWrites(wire, self.loop)
         self.decision: Decision = Decision(self)  # what reactions want in this turn
         self.attach(actuator)
 
@@ -347,7 +348,7 @@ class ActuatorChannel(Device):
             command = self._bounded(command, now)
         # `Hold` takes it here, in place.  # hot
         if holder is not registration or now + REACHED >= held.begun + held.seconds:
-            held.since = now
+            held.since, held.before = now, held.writer
         held.holder = held.writer = registration
         held.begun = held.written = now
         held.seconds = hold or registration.hold or wire.command_timeout
@@ -369,11 +370,11 @@ class ActuatorChannel(Device):
             guard = self.gate.ticket(registration, expires, numbers)
         try:
             sent = wire.send(command, registration.behavior, guard)
-        except NoTurnError:  # it has not left: what it took over is nobody's any more
-            self.make_safe()
+        except (NoTurnError, DeviceFaultError) as error:
+            self.stillness.not_taken(error, registration, now)
             raise
         if sent is not None or wire.applied is not None:
-            return self._sent(sent, registration, command, asked, by, expires)
+            return self._sent(sent, registration, command, asked, by, expires, now)
         # Most drivers say nothing.
         self.writes += 1
         if heard.applied:
@@ -396,10 +397,12 @@ class ActuatorChannel(Device):
         asked: Any,
         by: str | None,
         expires: float | None = None,
+        now: float | None = None,
     ) -> Sent:
         """Return what comes of a command that the driver has."""
         if type(sent) is Call:
             sent.owner, sent.apply = right, self._ended
+            sent.takes_over = self.hold.takes_over(right, now)
             if expires is not None:
                 self.calls.withdraw_at(expires, sent)
             return Sending(self, sent, right, command, asked, by, self.gate.halts)
@@ -494,7 +497,8 @@ class ActuatorChannel(Device):
         elif call.cancelled:
             wire.unknown()
         elif type(wire.failed(end.error, "write")) is not NoTurnError:
-            is_over = call.owner is not None  # who wrote hears of it, and no guard does
+            # Who wrote hears of it; no guard does, nor who held it before.
+            is_over = call.owner is not None and not call.takes_over
             self.keep_still()
         if not (is_over or self.safe.state or self.safe.overtaken(call)):
             if isinstance(end.error, CallRefused):
@@ -602,10 +606,7 @@ class ActuatorChannel(Device):
                 denied = AccessDeniedError(right.behavior, self.name, OPERATE, told)
                 self.operations.end(denied)
                 self.make_safe(stay=True)
-        limit = self.actuator.deadline  # what leaves late is old
-        sent = await self._waiting.turn(
-            registration, command, hold, halts, expires, limit
-        )
+        sent = await self._waiting.turn(registration, command, hold, halts, expires)
         return sent if isinstance(sent, Answer) else await sent
 
     def _look(self) -> None:

@@ -228,6 +228,7 @@ class Call:
     cancelled: bool = False  # its caller has gone; what it still does is nobody's fault
     withdrawn: bool = False  # before its turn on the bus came: then it is refused
     owner: object = None  # the right by which it was begun, if it needs one
+    takes_over: bool = False  # another's motion stands until it has landed
     engine: LightTask | ThreadedCall | None = None
     until: float = math.inf  # when its time is over, on the loop's clock
     limit: float = math.inf  # for how many seconds that was

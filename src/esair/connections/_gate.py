@@ -357,6 +357,7 @@ class Hold:
 
     holder: Registration | None = None  # who wrote last; None if it was given back
     since: float = 0.0  # since when that is the holder
+    before: Registration | None = None  # whose command stood then
     begun: float = 0.0  # when it wrote last, or when its operation must have ended
     seconds: float = 0.0  # for how long it holds it after that
     writer: Registration | None = None  # whose command stands; None if it is nobody's
@@ -370,6 +371,10 @@ class Hold:
     def present(self, now: float) -> Registration | None:
         """Return who holds it now; None when the hold is over."""
         return self.holder if now + REACHED < self.begun + self.seconds else None
+
+    def takes_over(self, right: Registration, now: float | None) -> bool:
+        """Tell whether a write at this moment has taken over what another has moved."""
+        return self.since == now and self.before not in (None, right)
 
     def keeps_away(self, right: Registration, now: float) -> bool:
         """Tell whether the holder is in the way of somebody's command."""

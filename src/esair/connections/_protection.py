@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 import attrs
 
 from esair.connections._calls import Apply, Call
-from esair.connections._gate import Gate, Hold, verdict
+from esair.connections._gate import Gate, Hold, Registration, verdict
 from esair.connections._values import is_opaque, is_same, is_weaker, weaker_of
 from esair.connections._wire import NOT_YET, SafeCommand, Wire
-from esair.exceptions import BadValueError, EsairError, describe
+from esair.exceptions import BadValueError, EsairError, NoTurnError, describe
 from esair.loop import (
     NEVER,
     REACHED,
@@ -492,6 +492,14 @@ class Stillness:
             self._stilled_in = self._turn.number
             self._safe.make(stay=True)
             hold.holder, hold.writer = holder, writer
+
+    def not_taken(self, error: EsairError, right: Registration, now: float) -> None:
+        """Make it safe if a command has failed that took over what stands.
+
+        Nobody else feeds that any more. What has not left counts as one, whoever wrote.
+        """
+        if type(error) is NoTurnError or self._hold.takes_over(right, now):
+            self._safe.make()
 
     def review(self, apply: Apply) -> None:
         """Put what stands to the guards again; only less than that may leave now."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Iterator
 from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -18,6 +18,7 @@ from esair.messages import Refused, Written
 if TYPE_CHECKING:
     from esair.connections._actuator_channel import ActuatorChannel
     from esair.connections._sensor_channel import SensorChannel
+    from esair.connections._wire import Wire
 
 WAITING_LIMIT = 256  # how many writes may wait for one actuator at a time
 
@@ -165,10 +166,8 @@ class WaitingWrite:
 class WaitingWrites:
     """Keeps writes in order: the highest priority goes first, then the oldest."""
 
-    _name: str
+    _wire: Wire
     _loop: asyncio.AbstractEventLoop
-    _others: Callable[[], float]
-    """For how long at most the device is busy with what is no command, in seconds."""
     _writes: list[WaitingWrite] = attrs.field(factory=list)
     turned_away: int = 0
 
@@ -185,16 +184,17 @@ class WaitingWrites:
         hold: float | None,
         halts: int,
         expires: float | None,
-        limit: float,
     ) -> Sent:
-        """Wait until somebody has said what becomes of a write, or for a limit in seconds."""
+        """Wait until somebody has said what becomes of a write; what leaves late is old."""
         if len(self._writes) >= WAITING_LIMIT:
             self.turned_away += 1
-            raise BusyError(self._name, "number of waiting writes", WAITING_LIMIT)
+            raise BusyError(
+                self._wire.actuator.name, "number of waiting writes", WAITING_LIMIT
+            )
         turn: asyncio.Future[Sent] = self._loop.create_future()
         write = WaitingWrite(registration, command, hold, halts, expires, turn)
         self._writes.append(write)
-        deadlines = Deadlines.of(self._loop)
+        limit, deadlines = self._wire.actuator.deadline, Deadlines.of(self._loop)
         write.deadline = deadlines.after(limit, self._expire, write, limit)
         try:
             return await turn
@@ -211,12 +211,12 @@ class WaitingWrites:
 
     def _expire(self, write: WaitingWrite, limit: float, *, last: bool = False) -> None:
         """End a wait; but once what has made it so long may end, and others have a turn."""
-        seconds = 0.0 if last else self._others()
+        seconds = 0.0 if last else self._wire.busy_for()
         if seconds > 0.0:
             last_time = partial(self._expire, write, limit, last=True)
             write.deadline = Deadlines.of(self._loop).after(seconds + limit, last_time)
         else:
-            write.end(NoTurnError(self._name, "write", limit))
+            write.end(NoTurnError(self._wire.actuator.name, "write", limit))
 
     def above(self, priority: int) -> Registration | None:
         """Return by which right of a higher priority one waits."""
