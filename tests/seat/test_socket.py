@@ -3,6 +3,7 @@
 import asyncio
 import enum
 import json
+import math
 import os
 import socket
 import stat
@@ -192,6 +193,30 @@ GARBAGE = [
     (b'{"v":1,"id":"x","act":"remove","name":"a\\u0000b"}\n', "letter"),
     (b"x" * (1 << 20) + b"\n", f"{LIMIT} bytes"),
 ]
+
+
+@pytest.mark.promise("OPS-1", "OPS-2")
+async def test_a_limit_that_is_infinite_is_told_as_none(rover, raw):
+    """JSON has no infinity: the picture, a setting and a lease have an answer all the same."""
+
+    class Winch(esair.Actuator[float]):
+        safe = 0.0
+        limits = (0.0, math.inf)
+        pull = esair.setting(1.0, min=0.0, max=math.inf)
+
+        async def write(self, command: float) -> None:
+            pass
+
+    async with rover(resources=[Winch()]), raw() as client:
+        answers = [
+            await client.do("1", "status"),
+            await client.do("2", "set", setting="winch.pull", value=2.0),
+            await client.do("3", "lease", actuator="winch"),
+        ]
+
+        assert [each["ok"] for each in answers] == [True] * 3
+        assert (answers[1]["result"]["min"], answers[1]["result"]["max"]) == (0.0, None)
+        assert answers[2]["result"]["axes"] == {"": [0.0, 1.0]}
 
 
 @pytest.mark.promise("OPS-1")

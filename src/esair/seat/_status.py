@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -204,11 +205,16 @@ def settings(resource: Resource) -> list[dict[str, Any]]:
             "name": name,
             "value": HIDDEN if each.secret else plain(getattr(resource, name)),
             "unit": each.unit,
-            "min": each.min,
-            "max": each.max,
+            "min": _limit(each.min),
+            "max": _limit(each.max),
             "choices": None if each.choices is None else plain(list(each.choices)),
             "type": each.type.__name__,
             "doc": each.doc,
         }
         for name, each in settings_of(type(resource)).items()
     ]
+
+
+def _limit(limit: float | None) -> float | None:
+    """Return a limit as JSON has it: one that is infinite is none."""
+    return None if limit is None or math.isinf(limit) else plain(limit)

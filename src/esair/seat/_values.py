@@ -59,15 +59,25 @@ def axes(actuator: Actuator[Any]) -> dict[str, Range]:
     kind = command_type(actuator)
     fields = fields_of(kind) if isinstance(kind, type) else None
     safe = getattr(actuator, "safe", None)
+    whole = _range(limits)
     if fields is not None:
         names = [name for name, each in fields.items() if each.kind in {int, float}]
     elif isinstance(safe, Mapping):
         names = [name for name, each in safe.items() if isinstance(each, numbers.Real)]
     else:
-        return {"": tuple(limits) if isinstance(limits, tuple | list) else None}  # type: ignore[dict-item]
+        return {"": whole}
     by_name = limits if isinstance(limits, Mapping) else {}
-    whole = tuple(limits) if isinstance(limits, tuple | list) else None
-    return {name: tuple(by_name[name]) if name in by_name else whole for name in names}  # type: ignore[misc]
+    return {name: _range(by_name.get(name)) or whole for name in names}
+
+
+def _range(limits: object) -> Range:
+    """Return limits as JSON has them: a side without a limit is that of no limits."""
+    if not isinstance(limits, tuple | list):
+        return None
+    low, high = (
+        each if math.isfinite(each) else math.copysign(1.0, each) for each in limits
+    )
+    return low, high
 
 
 TEXT = 120  # How long the text of a value may be; what is longer is cut
