@@ -274,6 +274,13 @@ def check_whole(
     raise ConfigError(component, field, f"expected {bounds}, not {value!r:.80}")
 
 
+def digits_of(number: float) -> str:
+    """Return a number in digits, with all that it has; a whole one without a point."""
+    if isinstance(number, int):
+        return f"{number:d}"
+    return repr(float(number)).removesuffix(".0")
+
+
 def hints_of(something: Any) -> dict[str, Any]:
     """Return the types that a class or function names, by field or parameter.
 

@@ -205,6 +205,21 @@ async def test_the_last_will_is_the_safe_command() -> None:
         assert thing.told == {"pump": "OFF"}
 
 
+@pytest.mark.promise("AC-1")
+@pytest.mark.parametrize(
+    ("command", "payload"),
+    [(4294967295.0, b"4294967295"), (52.5200066001, b"52.5200066001")],
+)
+async def test_a_number_is_published_with_all_its_digits(command, payload) -> None:
+    """What the device is told is what is told as written."""
+    bus = FakeMqtt()
+    thing = FakeThing(bus, commands=("goal",))
+    async with opened(MqttActuator(topic="goal", safe="hold", bus=bus)) as goal:
+        await goal.write(command)
+        await bus.until("goal")
+        assert thing.told == {"goal": payload.decode()}
+
+
 @pytest.mark.fault("D14")
 async def test_who_is_absent_for_long_leaves_nothing_behind() -> None:
     """Each try of an opening ends what it has begun."""

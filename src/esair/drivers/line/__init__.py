@@ -33,7 +33,7 @@ from esair.resources import (
     Sensor,
     SensorSettings,
 )
-from esair.values import check_seconds
+from esair.values import check_seconds, digits_of
 from esair.watchdog import SafeFrames
 
 __all__ = ["LineActuator", "LineSensor"]
@@ -60,7 +60,7 @@ def encode_value(key: str, value: float) -> bytes:
     """
     if not math.isfinite(value):
         raise LineError(f"expected a finite number for {key}, not {value!r}")
-    return f"{key}={value:.9g}".encode("ascii")
+    return f"{key}={digits_of(value)}".encode("ascii")
 
 
 def decode_value(line: bytes) -> tuple[str, float]:

@@ -50,7 +50,7 @@ from esair.resources import (
     Sensor,
     SensorSettings,
 )
-from esair.values import check_seconds
+from esair.values import check_seconds, digits_of
 
 __all__ = ["MqttActuator", "MqttSensor"]
 
@@ -331,7 +331,7 @@ class MqttActuator(_OnMqtt, Actuator[Any]):
 
     def _encoded(self, command: Any) -> str:
         if self.kind == "number":
-            return f"{command:.9g}"
+            return digits_of(command)
         if self.kind == "switch":
             return self._words[bool(command)]
         try:
