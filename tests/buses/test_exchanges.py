@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from esair.buses import Exchanges
 from esair.drivers.line import LineActuator, LineSensor
 from esair.exceptions import DeviceLostError, DriverStuckError
 from esair.testing import FakeSerial
@@ -39,6 +40,24 @@ class LateBoard:
 @pytest.fixture
 def line() -> FakeSerial:
     return FakeSerial("front", write_timeout=0.1)
+
+
+@pytest.mark.promise("BUS-3")
+async def test_silence_is_waited_for_as_long_as_something_is_owed(
+    line: FakeSerial,
+) -> None:
+    """What was given up long before it was due is owed until then, and a while more."""
+    exchanges = Exchanges(line, late_limit=0.1)
+    loop = asyncio.get_running_loop()
+
+    async def send(_left: float) -> None: ...
+
+    asking = asyncio.ensure_future(exchanges.ask(send, b"a", timeout=0.5))
+    await asyncio.sleep(0.01)
+    asking.cancel()
+    await asyncio.wait({asking})
+    await exchanges.silence()
+    assert loop.time() == pytest.approx(0.6, abs=0.02)
 
 
 @pytest.mark.promise("BUS-3")

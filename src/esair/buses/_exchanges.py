@@ -155,10 +155,14 @@ class Exchanges:
         A bus does so as it is opened again after a loss: then nobody's time is spent.
 
         Raises:
-            DriverStuckError: More is owed than can come in twice the ``late_limit``.
+            DriverStuckError: More is owed a ``late_limit`` after all of it was to come.
         """
         if self.unanswered:
-            async with self.request(timeout=2 * self._late_limit):
+            left = (
+                max(each.due for each in self.unanswered)
+                - asyncio.get_running_loop().time()
+            )
+            async with self.request(timeout=max(0.0, left) + 2 * self._late_limit):
                 pass
 
     def clear(self) -> None:
