@@ -197,6 +197,54 @@ async def test_a_position_is_gone_to_and_a_newer_one_at_once(
         assert far.velocity == 0
 
 
+@pytest.mark.promise("AC-1")
+async def test_a_drive_that_looks_seldom_misses_no_position(wire: FakeCan) -> None:
+    """Bit 4 is lowered, and raised again, only as the drive has seen it (bit 12)."""
+
+    class Slow(FakeDrive):
+        """Looks 10 ms after a command at the newest one."""
+
+        newest = b""
+
+        def _apply(self, number: int, data: bytes) -> None:
+            if not self.newest:
+                asyncio.get_running_loop().call_later(0.01, self._look, number)
+            self.newest = data
+
+        def _look(self, number: int) -> None:
+            data, self.newest = self.newest, b""
+            super()._apply(number, data)
+
+    far = Slow(wire)
+    drive = made(PositionDrive, wire)
+    async with opened(drive):
+        for position in (500.0, -200.0, 300.0):
+            await drive.write(Move(position))
+            assert far.moves[-1] == position
+        drive.stop = "halt"
+        write = asyncio.ensure_future(drive.write(Move(7.0)))
+        await asyncio.sleep(0.005)
+        await drive.write(Move(stop=True))
+        with pytest.raises(BusyError):
+            await write
+        await drive.write(Move(8.0))
+        assert far.moves[-1] == 8
+    far.stop()
+
+
+@pytest.mark.promise("AC-1")
+async def test_a_position_that_is_not_acknowledged_is_a_fault(
+    wire: FakeCan, far: FakeDrive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A drive that heeds no new position is not taken for one that goes there."""
+    drive = made(PositionDrive, wire)
+    async with opened(drive):
+        await drive.write(Move(500.0))
+        monkeypatch.setattr(far, "_take_set_point", lambda _risen: None)
+        with pytest.raises(DeviceFaultError, match="bit 12"):
+            await drive.write(Move(-200.0))
+
+
 async def test_positions_need_no_zero_among_them(wire: FakeCan, far: FakeDrive) -> None:
     """Where a joint goes from 1 to 2 rad, its stop is within the limits, too."""
     drive = made(PositionDrive, wire, limits=(1.0, 2.0), factor=UNIT)

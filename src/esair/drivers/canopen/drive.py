@@ -28,7 +28,7 @@ import asyncio
 import enum
 import functools
 import struct
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any, ClassVar, Final, Literal, Unpack
 
@@ -80,6 +80,9 @@ PROFILE_POSITION, PROFILE_VELOCITY = 1, 3
 DISABLE, QUICK_STOP, SHUT_DOWN, SWITCH_ON, ENABLE = 0x00, 0x02, 0x06, 0x07, 0x0F
 NEW_SET_POINT, AT_ONCE, RESET, HALT = 0x10, 0x20, 0x80, 0x100
 """Bits of the controlword that are no state."""
+
+ACKNOWLEDGED = 0x1000
+"""The bit of the statusword that says, of a position, that bit 4 was seen."""
 
 
 class State(enum.Enum):
@@ -356,6 +359,7 @@ class DriveActuator(OnDrive):
         self.stop = check_choice(self.name, "stop", stop, ("quick_stop", "halt"))
         self.state: State | None = None
         """What the drive told last; None while it is not open."""
+        self._status = 0
         self._is_on = False
         self._is_stopping = False
         self._stopped_at = 0.0
@@ -425,7 +429,11 @@ class DriveActuator(OnDrive):
             await self._enable(mine)
         for word in words:
             await self._tell(mine, word, value)
-        self._is_on = True
+            await self._heed_of(mine, word)
+        self._is_on = self._is_on or mine == self._newest
+
+    async def _heed_of(self, mine: int, word: int) -> None:
+        """Wait until the drive has seen a controlword, if that matters in its mode."""
 
     async def _stop(self) -> None:
         word = self._stop_word
@@ -442,9 +450,12 @@ class DriveActuator(OnDrive):
         self._newest += 1
         return self._newest
 
-    async def _tell(self, mine: int, word: int, value: int) -> None:
+    def _check_newest(self, mine: int) -> None:
         if mine != self._newest:
             raise BusyError(self.name, "number of waiting writes", 1)
+
+    async def _tell(self, mine: int, word: int, value: int) -> None:
+        self._check_newest(mine)
         self._connected()
         data = struct.pack("<Hi", word, value)
         await self.bus.send(0x200 + self.node, data, replaces=word)
@@ -473,18 +484,26 @@ class DriveActuator(OnDrive):
             self._news.clear()
             if word is not None:
                 await self._tell(mine, word, 0)
-            try:
-                async with asyncio.timeout(ASK_PERIOD):
-                    while self.state is state:
-                        await self._news.wait()
-                        self._news.clear()
-            except TimeoutError:
-                self._hear(await self._call(self._ask))
+            await self._until(functools.partial(self._has_left, state))
+
+    def _has_left(self, state: State | None) -> bool:
+        return self.state is not state
+
+    async def _until(self, is_so: Callable[[], bool]) -> None:
+        """Wait for what the drive tells of itself; it is asked if it tells nothing new."""
+        try:
+            async with asyncio.timeout(ASK_PERIOD):
+                while not is_so():
+                    await self._news.wait()
+                    self._news.clear()
+        except TimeoutError:
+            self._hear(await self._call(self._ask))
 
     def _ask(self) -> int:
         return int(self._remote.sdo[STATUSWORD].raw)
 
     def _hear(self, status: int) -> None:
+        self._status = status
         state = state_of(status)
         if state is State.ENABLED and self._is_stopping:
             return

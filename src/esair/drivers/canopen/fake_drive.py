@@ -169,13 +169,19 @@ class FakeDrive(FakeCanopenNode):
         if risen & profile.NEW_SET_POINT:
             self._goal = float(self._signed(profile.TARGET_POSITION))
             self.moves.append(int(self._goal))
+        self._become(State.ENABLED)
 
     def _become(self, state: State) -> None:
-        changed, self.drive_state = state is not self.drive_state, state
+        self.drive_state = state
         if not hasattr(self, "local"):  # it is being made
             return
-        self._put(profile.STATUSWORD, profile.STATUS[state][1] | 0x0210)
-        if changed and self._pdo(0x1800)[1] >= 254:
+        before = self._get(profile.STATUSWORD)
+        status = profile.STATUS[state][1] | 0x0210
+        goes = self._get(profile.MODE) == profile.PROFILE_POSITION
+        if goes and state is State.ENABLED and self._word & profile.NEW_SET_POINT:
+            status |= profile.ACKNOWLEDGED
+        self._put(profile.STATUSWORD, status)
+        if status != before and self._pdo(0x1800)[1] >= 254:
             self._tell(0)
 
     def _step(self) -> None:
