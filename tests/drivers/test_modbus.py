@@ -107,6 +107,58 @@ class TestCoil(OnUnit, ActuatorContract):
         return [True]
 
 
+class TestReadBack(OnUnit, ActuatorContract):
+    keeps_nothing = ""
+
+    def make(self) -> Any:
+        device = ModbusActuator(
+            unit=3, register=8, safe=5.0, reads_back=True, bus=self.wire()
+        )
+        device.set_up_period = 0.2  # before what is safe is told again
+        return device
+
+    def commands(self) -> list[Any]:
+        return [12.0, -1000.0]
+
+
+class TestCoilReadBack(TestReadBack):
+    framing = TCP
+
+    def make(self) -> Any:
+        device = ModbusActuator(
+            unit=3,
+            register=3,
+            table="coil",
+            safe=True,
+            reads_back=True,
+            bus=self.wire(),
+        )
+        device.set_up_period = 0.2
+        return device
+
+    def commands(self) -> list[Any]:
+        return [False, True]
+
+
+@pytest.mark.promise("BUS-4", "RES-4")
+@pytest.mark.parametrize("is_silent", [False, True])
+async def test_what_is_read_back_is_noticed_without_a_command(is_silent: bool) -> None:
+    """One that restarted with its output on is made safe; one that is silent is lost."""
+    line, unit = make()
+    device = ModbusActuator(
+        name="pump", unit=3, register=8, safe=0.0, reads_back=True, bus=line
+    )
+    async with esair.Robot(resources=[device]) as robot:
+        await asyncio.sleep(3.0)
+        assert robot.resources.query("pump").losses == 0
+        unit.holding[8], unit.silent = 77, is_silent
+        await asyncio.sleep(3.0)
+        status = robot.resources.query("pump")
+        assert status.losses == 1
+        assert (status.state is ResourceState.READY) is not is_silent
+        assert unit.holding[8] == (77 if is_silent else 0)
+
+
 class TestLine(BusContract):
     """Whose an answer is: two reads of one function cannot be told apart on RTU."""
 

@@ -182,9 +182,12 @@ class _OnUnit(Resource):
             raise DeviceFaultError(self.name, f"{where}: {why}")
         return decoded
 
-    async def _get(self) -> Any:
+    async def _look(self) -> Any:
         request = _READS[self.table](address=self.register, count=self._size)
-        answer = await self._ask(request)
+        return await self._ask(request)
+
+    async def _get(self) -> Any:
+        answer = await self._look()
         if self.is_bit:
             if not answer.bits:
                 raise DeviceFaultError(self.name, "its answer has no bit")
@@ -250,6 +253,9 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
         safe: The value that makes it safe.
         limits: Narrower limits than those of its type.
         own_timeout: After how many seconds without a command the unit itself stops.
+        reads_back: Whether what was told is read back each second. A unit that is silent
+            is lost then at once, and one that has another value, as after a restart, is
+            opened again and made safe: for what can be read and nobody else changes.
         **settings: ``unit``, ``register`` and more, as of a `ModbusSensor`; its ``table``
             is ``"holding"`` or ``"coil"``.
     """
@@ -262,10 +268,16 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
         safe: float | bool,
         limits: tuple[float, float] | None = None,
         own_timeout: float | None = None,
+        reads_back: bool = False,
         **settings: Unpack[_ActuatorSettings],
     ) -> None:
         super().__init__(**settings)
         self.own_timeout = own_timeout
+        self.reads_back: bool = check_choice(
+            self.name, "reads_back", reads_back, (False, True)
+        )
+        self._told: Any = None
+        """The request that was confirmed last; None while another one is under way."""
         self.claim: str = f"{self.table} {self.register} of unit {self.unit}"
         if self.is_bit:
             if not isinstance(safe, bool):
@@ -290,12 +302,27 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
         # A framing of its own: this may be asked for while an answer comes.
         return SafeFrames([self.bus.framing.fresh().encode(message)])
 
+    @property
+    def can_tell_set_up(self) -> bool:
+        """Whether what it was told is read back."""
+        return self.reads_back
+
+    async def is_set_up(self) -> bool:
+        """Tell whether the unit still has what it was told last."""
+        told, has = self._told, await self._look()
+        if told is None or told is not self._told:  # a write came between
+            return True
+        if self.is_bit:
+            return bool(has.bits[:1] == told.bits[:1])
+        return bool(has.registers == told.registers)
+
     async def open(self) -> None:
         """Make sure that the unit answers; that it cannot be read is well."""
+        self._told = None
         try:
             await self._get()
         except DeviceFaultError as fault:
-            if fault.errno is not None:
+            if fault.errno is not None or self.reads_back:
                 raise
 
     async def write(self, command: Any) -> None:
@@ -306,12 +333,14 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
             DeviceLostError: It is busy, or a gateway says that it does not answer.
             DriverStuckError: It does not answer.
         """
+        self._told = None
         request = self._request(command)
         answer = await self._ask(request)
         if answer.encode() != request.encode()[:4]:  # where, and what or how many
             raise DeviceFaultError(
                 self.name, f"it confirms what it was not told: {answer.encode().hex()}"
             )
+        self._told = request
 
     def _request(self, command: Any) -> ModbusPDU:
         if self.is_bit:
