@@ -54,23 +54,25 @@ class Stop(esair.Reaction):
 
 
 @pytest.mark.promise("PRO-1", "PRO-5")
-@pytest.mark.parametrize("sees", [Stop, Cap])
+@pytest.mark.parametrize(
+    ("sees", "still"), [(Stop, 0.0), (Cap, 0.0), (Stop, esair.HOLD)]
+)
 @pytest.mark.parametrize("seconds", [0.0, 0.05])
 async def test_a_stop_that_was_not_taken_is_no_standstill(
-    sees: Any, seconds: float
+    sees: Any, still: Any, seconds: float
 ) -> None:
     """Who is blind then, or has become so meanwhile, has it made safe, as any motion."""
-    wheels = FakeActuator("wheels", safe=0.0, command_timeout=60.0)
+    wheels = FakeActuator[Any]("wheels", safe=still, command_timeout=60.0)
     cap = FakeSensor("cap", 9.0)
     user: Any = esair.Behavior(name="user", writes={"wheels": esair.writes(float)})
     async with esair.Robot(resources=[wheels, cap], behaviors=[user, sees()]):
         assert await user.wheels.write(1.0)
         wheels.fail(ValueError("checksum"))
         wheels.slow(seconds)
-        stopping = asyncio.create_task(user.wheels.write(0.0))
+        stopping = asyncio.create_task(user.wheels.write(still))
         await asyncio.sleep(seconds / 2)
         cap.unplug()
         with pytest.raises(esair.DeviceFaultError):
             await stopping
         await asyncio.sleep(0.5)
-        assert wheels.commands == [0.0, 1.0, 0.0]
+        assert wheels.commands == [still, 1.0, still]

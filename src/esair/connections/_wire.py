@@ -168,6 +168,7 @@ class Wire:
         try:
             sent = begin("write", self.method, (command,), self._deadline, guard)
         except Exception as error:
+            told.base = told.base if before is HOLD else before
             failed = self.in_doubt(self.failed(error, "write"), command)
             raise failed from failed.__cause__
         if sent is not None and type(sent) is Call:
@@ -204,6 +205,8 @@ class Wire:
     def failed(self, error: BaseException, kind: str) -> EsairError:
         """Take note of what the driver has raised; returns what its caller gets."""
         told, device = self.told, self._device
+        if kind == "write" and told.command is HOLD:
+            told.command = told.base  # it may move on
         self.unknown()
         translated = self.translated(error, kind)
         told.error = describe(translated)
