@@ -2,6 +2,7 @@
 
 import asyncio
 import enum
+import fcntl
 import json
 import math
 import os
@@ -9,6 +10,7 @@ import socket
 import stat
 import subprocess
 import sys
+import threading
 
 import attrs
 import pytest
@@ -18,6 +20,7 @@ from tests.seat.conftest import STILL, Twist, Wander, eventually
 import esair
 from esair import messages, seat
 from esair.seat import CLIENTS, LIMIT
+from esair.seat._place import Place
 
 pytestmark = pytest.mark.real_clock
 
@@ -458,6 +461,20 @@ async def test_a_second_robot_of_the_name_is_refused(rover, raw):
         assert robot.wheels.commands[-1] == STILL
     async with rover():
         pass
+
+
+@pytest.mark.promise("OPS-1")
+async def test_who_looks_for_robots_keeps_none_from_starting(sockets):
+    """A look has the lock of a dead robot for an instant; its next start is not refused."""
+    sockets.mkdir(mode=0o700)
+    with (sockets / "rover.lock").open("wb") as lock:
+        fcntl.flock(lock, fcntl.LOCK_SH)  # as a look does
+        release = threading.Timer(0.01, lambda: fcntl.flock(lock, fcntl.LOCK_UN))
+        release.start()
+
+        Place("rover").close()
+
+        release.join()
 
 
 @pytest.mark.fault("O18")

@@ -9,12 +9,16 @@ import os
 import socket
 import stat
 import tempfile
+import time
 from pathlib import Path
 
 from esair.exceptions import ConfigError
 
 _PATHS = "/proc/self/fd/{folder}/{name}"
 """A path by the descriptor of its folder: short, and it cannot be led elsewhere."""
+
+
+LOOKED_AT = 0.1  # How long who only looks for robots may have a lock, in seconds
 
 
 def folder() -> Path:
@@ -78,8 +82,16 @@ class Place:
         self._lock = os.open(
             f"{self.name}.lock", flags, mode=0o600, dir_fd=self._folder
         )
+        end = time.monotonic() + LOOKED_AT
         try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            while True:
+                try:
+                    fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    return
+                except BlockingIOError:
+                    if time.monotonic() > end:
+                        raise
+                time.sleep(0.001)
         except BlockingIOError:
             os.close(self._lock)
             told = "a robot of this name runs already: stop it, or name this one else"
