@@ -121,6 +121,15 @@ def test_a_long_path_leaves_room_for_what_is_wrong_with_it() -> None:
     assert "/dev/…_0001-if00-port0 is no dev" in text
 
 
+@pytest.mark.promise("OPS-2", "OPS-3")
+def test_long_names_leave_room_for_what_matters() -> None:
+    """On 80 columns of a robot, a mode and a sensor with 63 letters each: halt, holder."""
+    found = status(row("s" * 63), wheels(), halted="a cat")
+    text = shown({**found, "robot": "r" * 63, "mode": "m" * 63})
+    assert "HALTED: a cat" in text
+    assert "wander (3)" in text
+
+
 def test_a_mode_is_told_as_one() -> None:
     """The mode is no component that does something."""
     event = {"kind": "mode", "component": "dock", "peer": "", "value": "explore"}

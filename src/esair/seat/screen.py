@@ -85,14 +85,15 @@ def picture(
         kept = sorted(range(len(rows)), key=lambda n: (-rows[n][0], n))
         rows = [rows[n] for n in sorted(kept[: len(rows) - left - 1])]
     table = Table(box=None, expand=True, padding=(0, 1, 0, 0), header_style="dim")
-    table.add_column("name", no_wrap=True, min_width=8)
+    widest = max(console.width * 3 // 10, 8)
+    table.add_column("name", no_wrap=True, min_width=8, max_width=widest)
     table.add_column("state", no_wrap=True, min_width=8)
     table.add_column("holder, value", no_wrap=True, ratio=1, overflow="ellipsis")
     for name in ("Hz", "age", "late", "lost", "refused"):
         table.add_column(name, no_wrap=True, justify="right")
     for _, cells in rows:
         table.add_row(*cells)
-    parts: list[RenderableType] = [_head(status, hint), table]
+    parts: list[RenderableType] = [_head(status, hint, console.width), table]
     if left > 0:
         parts.append(Text(f"{left + 1} more rows have no room", "yellow"))
     room = height - 2 - len(rows) - (left > 0) - 1
@@ -128,16 +129,16 @@ def _told_value(value: Any) -> str:
     return json.dumps(value)
 
 
-def _head(status: Mapping[str, Any], hint: str) -> Text:
+def _head(status: Mapping[str, Any], hint: str, width: int) -> Text:
     head = Text(printable(status["robot"]), "bold", no_wrap=True, overflow="ellipsis")
+    head.truncate(width // 3, overflow="ellipsis")  # however long, a halt is seen
+    mode = status.get("mode")
+    told = "" if mode is None else f"mode {printable(mode)}  "
     head.append(f"  up {_span(status['up'])}  ", "not bold")
-    if status.get("mode") is not None:
-        head.append(f"mode {printable(status['mode'])}  ", "not bold")
     if status["halted"] is not None:
         head.append(f"HALTED: {printable(status['halted'])}", "bold white on red")
-    else:
-        head.append(hint, "not bold dim")
-    return head
+        return head.append(f"  {told}", "not bold")
+    return head.append(told, "not bold").append(hint, "not bold dim")
 
 
 def _below(
