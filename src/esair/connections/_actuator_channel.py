@@ -348,7 +348,7 @@ class ActuatorChannel(Device):
             command = self._bounded(command, now)
         # `Hold` takes it here, in place.  # hot
         if holder is not registration or now + REACHED >= held.begun + held.seconds:
-            held.since, held.before = now, held.writer
+            held.since, held.before = now, getattr(held.writer, "number", 0)
         held.holder = held.writer = registration
         held.begun = held.written = now
         held.seconds = hold or registration.hold or wire.command_timeout

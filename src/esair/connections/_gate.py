@@ -357,7 +357,7 @@ class Hold:
 
     holder: Registration | None = None  # who wrote last; None if it was given back
     since: float = 0.0  # since when that is the holder
-    before: Registration | None = None  # whose command stood then
+    before: int = 0  # the number of the right whose command stood then; 0 for nobody's
     begun: float = 0.0  # when it wrote last, or when its operation must have ended
     seconds: float = 0.0  # for how long it holds it after that
     writer: Registration | None = None  # whose command stands; None if it is nobody's
@@ -374,7 +374,7 @@ class Hold:
 
     def takes_over(self, right: Registration, now: float | None) -> bool:
         """Tell whether a write at this moment has taken over what another has moved."""
-        return self.since == now and self.before not in (None, right)
+        return self.since == now and self.before not in {0, right.number}
 
     def keeps_away(self, right: Registration, now: float) -> bool:
         """Tell whether the holder is in the way of somebody's command."""
