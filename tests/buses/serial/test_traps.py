@@ -190,6 +190,50 @@ async def test_here_what_the_kernel_has_taken_is_thrown_away_too(
 
 
 @pytest.mark.fault("D16")
+async def test_here_the_kernel_gets_no_more_than_is_sent_soon(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A port would take 4096 bytes, and at 9600 baud a stop would come 4 s late."""
+    held, asked = 200, 0
+
+    def out_waiting(_: serial.Serial) -> int:
+        nonlocal asked
+        asked += 1
+        return held
+
+    monkeypatch.setattr(serial.Serial, "out_waiting", property(out_waiting))
+    with terminal() as (master, slave):
+        port = os.ttyname(slave)
+        bus = SerialBus(name="front", port=port, baudrate=9600, write_timeout=0.1)
+        await bus.open()
+        await bus.write(b"forward\n")
+        assert os.read(master, 4096) == b"forward\n"
+
+        held = 300
+        with pytest.raises(DriverStuckError):
+            await bus.write(b"faster\n")
+        assert bus.stats.discarded == 7
+        assert asked < 50  # it is no busy wait
+
+        writes = [asyncio.ensure_future(bus.write(each)) for each in (b"a\n", b"b\n")]
+        await asyncio.sleep(0.02)
+        assert bus.waiting == 4
+        held = 100
+        await asyncio.gather(*writes)
+        assert os.read(master, 4096) == b"a\nb\n"
+
+        held = 300  # what is safe waits for nothing: it would be thrown away
+        write = asyncio.ensure_future(bus.write(b"c\n"))
+        await asyncio.sleep(0.01)
+        urgency.set(Urgency(SAFE))
+        await bus.write(b"stop\n")
+        await write
+        assert os.read(master, 4096) == b"c\nstop\n"
+        held = 0
+        await bus.close()
+
+
+@pytest.mark.fault("D16")
 async def test_here_everybody_who_waits_is_told() -> None:
     """What is thrown away with the first write's deadline is not sent for the others."""
     with terminal() as (master, slave):

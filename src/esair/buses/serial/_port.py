@@ -32,7 +32,7 @@ from esair.exceptions import (
     DriverStuckError,
     describe,
 )
-from esair.loop import Executor, spawn
+from esair.loop import SAFE, Executor, spawn, urgency
 
 _NUMBERED = re.compile(r"/dev/tty(USB|ACM)\d+\Z")
 
@@ -264,6 +264,13 @@ class ThreadLink:
 OPEN_TIMEOUT = 2.0
 """How long opening a port may take, in seconds."""
 
+KERNEL_HOLDS = 0.25
+"""The kernel gets no message while it has bytes for so many seconds: what is safe would
+come behind them, and nobody would notice a device that takes none."""
+
+LOOK_AGAIN = 0.005
+"""After which pause the kernel is asked again for room, in seconds."""
+
 DRAIN_TIMEOUT = 0.2
 """How long a close waits for bytes that the kernel still holds, in seconds."""
 
@@ -332,6 +339,16 @@ class Port:
         except OSError as error:
             self._fail(error)
             return 0
+
+    def has_room(self) -> bool:
+        """Tell whether what the kernel has to send is on the wire soon."""
+        if not self._is_terminal:
+            return True
+        try:
+            held = float(self.device.out_waiting)
+        except (OSError, termios.error):
+            return True  # the write tells why
+        return 10 * held <= float(self.device.baudrate) * KERNEL_HOLDS
 
     def flush(self) -> None:
         """Do not wait: `shut` does it, in a thread and for a limited time."""
@@ -471,10 +488,34 @@ def _transport_class() -> Any:
     class DirectTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
         """Sends in the caller's own step what the kernel takes at once."""
 
+        _rushes = False
+        """Whether what is safe waits: only in the kernel is it not thrown away."""
+
         def write(self, data: bytes) -> None:
-            if not self._closing and not self._write_buffer:
+            idle = not self._closing and not self._write_buffer
+            is_safe = urgency.get().level >= SAFE
+            self._rushes = is_safe or (self._rushes and not idle)
+            if idle and (is_safe or self._serial.has_room()):
                 data = data[self._serial.write(data) :]
             if data:
                 super().write(data)
+                self._look_again()
+
+        def _write_ready(self) -> None:
+            if not self._rushes and not self._serial.has_room():
+                self._remove_writer()
+                self._loop.call_later(LOOK_AGAIN, self._look_again)
+                return
+            waiting = self._write_buffer
+            waiting[0] = waiting[0][self._serial.write(waiting[0]) :]
+            if not waiting[0]:
+                del waiting[0]
+            if not waiting:
+                self._remove_writer()
+                self._maybe_resume_protocol()
+
+        def _look_again(self) -> None:
+            if self._write_buffer:
+                self._ensure_writer()
 
     return DirectTransport
