@@ -102,6 +102,40 @@ async def test_what_was_thrown_away_has_no_echo() -> None:
 
 
 @pytest.mark.virtual_clock
+@pytest.mark.promise("BUS-3")
+@pytest.mark.parametrize("damaged", [b"", b"set 1", b"st 1\n", b"et 1\n"])
+@pytest.mark.parametrize("size", [1, 4, 100])
+async def test_an_echo_behind_a_damaged_one_is_no_answer(
+    damaged: bytes, size: int
+) -> None:
+    """A board that confirms a command by the same words would have confirmed it."""
+    line = FakeSerial("servos", echo=True, write_timeout=0.1, late_limit=0.05)
+    line.on_write = lambda data: None
+    await line.open()
+    asking = asyncio.create_task(line.ask(b"set 1", prefix=b"set"))
+    await asyncio.sleep(0.01)
+    line.feed(damaged)
+    with pytest.raises(DriverStuckError):
+        await asking
+    await asyncio.sleep(0.1)
+
+    asking = asyncio.create_task(line.ask(b"set 2", prefix=b"set"))
+    await asyncio.sleep(0.01)
+    for at in range(0, 6, size):
+        line.feed(b"set 2\n"[at : at + size])
+        await asyncio.sleep(0.001)
+    with pytest.raises(DriverStuckError):
+        await asking
+    await asyncio.sleep(0.1)
+
+    asking = asyncio.create_task(line.ask(b"set 3", prefix=b"set"))
+    await asyncio.sleep(0.01)
+    line.feed(b"set 3\nset 3\n")
+    assert await asking == b"set 3"
+    await line.close()
+
+
+@pytest.mark.virtual_clock
 async def test_a_fake_with_one_wire_echoes_before_it_answers() -> None:
     """Without an echo the head of an answer, which is that of the request, went away."""
     line = FakeSerial("servos", echo=True)

@@ -171,6 +171,8 @@ class SerialBus(Bus):
         self._echoes = echo
         self._echo = b""
         """What was sent and has not come back."""
+        self._newest_echo = 0
+        """How much of that is the newest message."""
         self._bad_in_row = 0
         self._is_cut = False
         """Whether only the beginning of the message before was sent."""
@@ -267,6 +269,7 @@ class SerialBus(Bus):
         self._is_cut = False
         if self._echoes:
             self._echo += data
+            self._newest_echo = len(data)
             if len(self._echo) > ECHO_LIMIT:  # there is none
                 self._echo = b""
                 self.stats.bad_frames += 1
@@ -434,11 +437,15 @@ class SerialBus(Bus):
             self._fail_all(self.failed(fault))
 
     def _without_echo(self, data: bytes) -> bytes:
-        """Return what is not an echo; a damaged one ends the search for the rest of it."""
+        """Return what is not an echo; of one that was damaged, no rest is looked for."""
         size = min(len(data), len(self._echo))
         if data[:size] != self._echo[:size]:
-            self._echo = b""
+            older = len(self._echo) - self._newest_echo
+            self._echo = newest = self._echo[older:] if older > 0 else b""
             self.stats.bad_frames += 1
+            for at in range(len(data)) if newest else ():
+                if newest.startswith(data[at : at + len(newest)]):
+                    return data[:at] + self._without_echo(data[at:])
             return data
         self._echo = self._echo[size:]
         return data[size:]
