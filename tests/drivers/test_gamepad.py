@@ -170,6 +170,16 @@ async def test_a_pad_that_is_pulled_is_lost_and_comes_back() -> None:
         assert robot.resources.query("pad").state is esair.ResourceState.READY
 
 
+def test_what_is_held_at_the_opening_is_what_it_is() -> None:
+    """Let go, a stick would have told 0.5, and a trigger -1, for ever."""
+    stick, trigger = Axis(-32768, 32767, -32768), Axis(0, 1023, 1023)
+    state = PadState({2: stick, 9: trigger}, ())
+    assert (state.pad().axis("z"), state.pad().axis("gas")) == (-1.0, 1.0)
+    state.take(3, 2, 0)
+    state.take(3, 9, 0)
+    assert (state.pad().axis("z"), state.pad().axis("gas")) == (0.0, 0.0)
+
+
 def test_a_right_stick_with_the_code_of_a_trigger_is_a_stick() -> None:
     """By where it rests."""
     stick = PadState({2: Axis(0, 255, 128), 5: Axis(0, 255, 0)}, ())

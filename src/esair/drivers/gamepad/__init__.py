@@ -135,7 +135,8 @@ AXES: Final[dict[int, str]] = {
 """Axes by their codes; others are no axes of a pad."""
 
 _DOWN_IS_POSITIVE: Final = frozenset({1, 4, 17})
-_MAY_BE_TRIGGERS: Final = frozenset({2, 5, 9, 10})
+_TRIGGERS: Final = frozenset({9, 10})
+_MAY_BE_TRIGGERS: Final = frozenset({2, 5})
 
 
 @attrs.frozen
@@ -195,11 +196,16 @@ class PadState:
         self._dead_zone = dead_zone
         self._axes = {code: axis for code, axis in axes.items() if code in AXES}
         # What rests at its end is a trigger; sticks of some pads have the same codes.
+        # One that has a middle of 0 is a stick, even if it is held at its end now.
         self._triggers = {
             code
             for code, axis in self._axes.items()
-            if code in _MAY_BE_TRIGGERS
-            and axis.value <= axis.least + (axis.most - axis.least) / 8
+            if code in _TRIGGERS
+            or (
+                code in _MAY_BE_TRIGGERS
+                and axis.least >= 0
+                and axis.value <= axis.least + (axis.most - axis.least) / 8
+            )
         }
         self._pressed = set(pressed)
         self._must_let_go = False
