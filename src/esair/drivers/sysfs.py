@@ -71,6 +71,13 @@ _SCALES: Final = {
 }
 """What the kernel's numbers are multiplied with, by how their names begin."""
 
+_WHAT: Final = {
+    "hwmon": r"([a-z]+)\d*(?!.*_(?:alarm|beep|enable|fault|interval|type)$)",
+    "iio": r"(in_[a-z]+)",
+    "w1": r"([a-z]+)",
+}
+"""How a name begins that is of a value, or of a bound or an average of it."""
+
 
 class _OnSysfs(Resource):
     """A folder of sysfs, found by its name at each opening."""
@@ -165,8 +172,8 @@ class SysfsSensor(_OnSysfs, Sensor[float]):
         if limits is not None:
             self.limits: tuple[float, float] = limits
         self._stem = stem = value.removesuffix("_input").removesuffix("_raw")
-        what = re.match("in_[a-z]+", stem) if self.kind == "iio" else None
-        self._what = what.group() if what else stem.rstrip("0123456789")
+        what = re.match(_WHAT[self.kind], stem)
+        self._what = what[1] if what else stem
         """What it is, whichever of several, along which axis: ``in_accel``."""
         self._scale = _SCALES[self.kind].get(self._what, 1.0)
 
