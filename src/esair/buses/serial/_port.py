@@ -499,7 +499,8 @@ def _transport_class() -> Any:
                 data = data[self._serial.write(data) :]
             if data:
                 super().write(data)
-                self._look_again()
+                if is_safe:
+                    self._look_again()
 
         def _write_ready(self) -> None:
             if not self._rushes and not self._serial.has_room():
