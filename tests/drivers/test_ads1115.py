@@ -36,9 +36,9 @@ def test_a_conversion_is_a_signed_part_of_the_full_scale(
 
 
 def test_the_configuration_is_that_of_the_data_sheet() -> None:
-    """After power-up the register is 0x8583: inputs 0 and 1, 2.048 V, 128 Hz, single."""
-    assert config_for("0-1", 2.048, 128) == 0x8583
-    assert config_for("3", 0.256, 860) == 0xFBE3
+    """After power-up it is 0x8583, which a latch of no comparator tells from ours."""
+    assert config_for("0-1", 2.048, 128) == 0x8583 | 4
+    assert config_for("3", 0.256, 860) == 0xFBE3 | 4
 
 
 @given(
@@ -161,6 +161,20 @@ async def test_a_conversion_of_somebody_else_is_a_fault() -> None:
     chip.write(1, bytes.fromhex("8583"))
 
     with pytest.raises(DeviceFaultError, match=r"0x0583|0x8583"):
+        await reading
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("RES-4")
+async def test_what_a_chip_holds_that_has_lost_its_power_is_no_voltage() -> None:
+    """Its settings may be those that it has by itself, and the voltage would be 0."""
+    chip = FakeAds1115(1.0)
+    (sensor,) = await sensors_on(chip, "0-1", full_scale=2.048)
+    reading = asyncio.ensure_future(sensor.read())
+    await asyncio.sleep(0.001)
+    chip.power_cycle()
+
+    with pytest.raises(DeviceFaultError, match="lost its power"):
         await reading
 
 

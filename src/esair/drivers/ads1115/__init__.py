@@ -39,7 +39,9 @@ START = 0x8000
 SINGLE = 0x0100
 """``MODE``: convert once, then sleep."""
 
-NO_COMPARATOR = 0x0003
+NO_COMPARATOR = 0x0007
+"""``COMP_QUE``, and ``COMP_LAT``, which means nothing then: a chip that has lost its power
+has no configuration of ours."""
 
 TOLERANCE = 1.1
 """How much longer a conversion may take: the chip's clock is good to 10 percent."""
