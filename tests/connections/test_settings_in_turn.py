@@ -102,6 +102,8 @@ async def test_what_is_safe_does_not_wait_for_settings(user_of: Any) -> None:
         assert motor.done[-1] == "0.0"
         await configured
         assert motor.gain == 2.0
+        await asyncio.sleep(0.1)
+        assert motor.done[-2:] == ["0.0", "apply"]  # which has undone nothing
 
 
 async def test_who_gives_up_waiting_disturbs_nobody(user_of: Any) -> None:

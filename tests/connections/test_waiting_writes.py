@@ -202,3 +202,40 @@ async def test_one_that_expires_in_an_hour_is_not_kept_so_long(user_of: Any) -> 
         for number in range(50):
             assert await user.motor.write(float(number), expires=hour)
         assert len(Deadlines.of(loop).waiting) < before + 10
+
+
+async def test_one_that_has_lost_meanwhile_is_refused_when_its_time_is_over(
+    user_of: Any,
+) -> None:
+    """A higher priority has had the device all the time: that is an answer, no error."""
+    motor, low = Motor(), user_of("low", motor=esair.writes(float))
+    high = user_of("high", motor=esair.writes(float, priority=9))
+    motor.deadline = 1.2
+    async with esair.Robot(resources=[motor], behaviors=[low, high]):
+        first = asyncio.create_task(low.motor.write(1.0))
+        await soon()
+        loses = asyncio.create_task(low.motor.write(2.0))
+        wins = asyncio.create_task(high.motor.write(3.0))
+        refused = await loses
+        assert not refused
+        assert refused.holder == "high"
+        assert await first
+        assert await wins
+    assert 2.0 not in motor.commands
+
+
+async def test_one_that_meets_a_safe_command_has_its_time_after_that(
+    user_of: Any,
+) -> None:
+    """The device takes its time for both; neither is late."""
+    motor, user = Motor(), user_of("user", motor=esair.writes(float))
+    motor.deadline = 1.2
+    async with esair.Robot(resources=[motor], behaviors=[user]) as robot:
+        first = asyncio.create_task(user.motor.write(1.0))
+        await soon()
+        waits = asyncio.create_task(user.motor.write(2.0))
+        await asyncio.sleep(0.8)
+        robot.actuators.channels["motor"].make_safe()
+        assert await waits
+        assert await first
+        assert motor.commands == [0.0, 1.0, 0.0, 2.0]

@@ -108,7 +108,7 @@ class ActuatorChannel(Device):
             self, self.gate, self.hold, self.guards, wire, self.safe
         )
         self._dead_man = self.stillness.dead_man
-        self._waiting = WaitingWrites(wire, self.loop)
+        self._waiting = WaitingWrites(self)
         self.decision: Decision = Decision(self)  # what reactions want in this turn
         self.attach(actuator)
 
@@ -356,7 +356,7 @@ class ActuatorChannel(Device):
         if numbers is not None:
             stop, by, command = self._protected(command)
             if stop is not None:
-                return self._refuse(registration, stop.refusal())
+                return self.refuse(registration, stop.refusal())
             # The code of a check, or a guard, takes its time, and may have halted.
             if numbers != self.gate.numbers or not registration.usable:
                 return self._fenced(registration, numbers[0])
@@ -387,7 +387,7 @@ class ActuatorChannel(Device):
 
     def _expired(self, registration: Registration, late: float) -> Refused:
         expired = self._too_late(registration, f"it expired {late:.3g} s ago")
-        return self._refuse(registration, expired)
+        return self.refuse(registration, expired)
 
     def _sent(
         self,
@@ -440,7 +440,7 @@ class ActuatorChannel(Device):
                 still = self.checked(command)
                 if self.stillness.is_still(still):
                     return self._send_still(registration, still)
-        return self._refuse(registration, refused)
+        return self.refuse(registration, refused)
 
     def _send_still(self, registration: Registration, command: Any) -> Sent:
         """Send what is safe past the blind holds: it moves nothing, and holds nothing."""
@@ -491,9 +491,9 @@ class ActuatorChannel(Device):
             if not isinstance(right, Registration):  # less of what stands, by a guard
                 told = "it was made safe before the turn of this command came"
                 now = self.time()
-                self._refuse(None, Refused("", 0, told, now, now))
+                self.refuse(None, Refused("", 0, told, now, now))
             elif call.cancelled:
-                self._refuse(right, self._overtaken(right))
+                self.refuse(right, self._overtaken(right))
         elif call.cancelled:
             wire.unknown()
         elif type(wire.failed(end.error, "write")) is not NoTurnError:
@@ -526,7 +526,7 @@ class ActuatorChannel(Device):
             refused = self._overtaken(right)
         if not isinstance(refused, Refused):
             raise refused from None
-        return self._refuse(right, refused)
+        return self.refuse(right, refused)
 
     def _overtaken(self, right: Registration) -> Refused:
         """Answer a write that the safe command came before, in the driver's lane."""
@@ -572,7 +572,7 @@ class ActuatorChannel(Device):
         if self._journal.heard.command:
             self.wanted(registration, command)
         refused = self.hold.refusal(self.hold.holder or winner)
-        return self._refuse(registration, refused)
+        return self.refuse(registration, refused)
 
     def wanted(self, registration: Registration, command: Any) -> None:
         """Tell what somebody wants sent, whatever becomes of it."""
@@ -582,7 +582,7 @@ class ActuatorChannel(Device):
                 command = self.wire.copied(command)
         self._journal.publish(COMMAND, self.name, registration.behavior, command)
 
-    def _refuse(self, right: Registration | None, refused: Refused) -> Refused:
+    def refuse(self, right: Registration | None, refused: Refused) -> Refused:
         self.refusals += 1
         if self._journal.heard.refused:
             behavior = "" if right is None else right.behavior
@@ -623,7 +623,7 @@ class ActuatorChannel(Device):
             if refused is not None:
                 waiting.remove(write)
                 if isinstance(refused, Refused):
-                    self._refuse(right, refused)
+                    self.refuse(right, refused)
                 write.end(refused)
         while waiting and self.wire.lane is None and self.safe.state is None:
             write = waiting.first()
@@ -692,7 +692,7 @@ class ActuatorChannel(Device):
     def _lane_free(self, call: Call) -> None:
         if call is self.wire.lane:
             self.wire.lane = None
-        if self.safe.overtaken(call):
+        if call.may_move and self.safe.overtaken(call):
             self.safe.repeat()
         self.idle()
 

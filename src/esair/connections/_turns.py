@@ -18,7 +18,6 @@ from esair.messages import Refused, Written
 if TYPE_CHECKING:
     from esair.connections._actuator_channel import ActuatorChannel
     from esair.connections._sensor_channel import SensorChannel
-    from esair.connections._wire import Wire
 
 WAITING_LIMIT = 256  # how many writes may wait for one actuator at a time
 
@@ -166,8 +165,7 @@ class WaitingWrite:
 class WaitingWrites:
     """Keeps writes in order: the highest priority goes first, then the oldest."""
 
-    _wire: Wire
-    _loop: asyncio.AbstractEventLoop
+    _channel: ActuatorChannel
     _writes: list[WaitingWrite] = attrs.field(factory=list)
     turned_away: int = 0
 
@@ -188,14 +186,13 @@ class WaitingWrites:
         """Wait until somebody has said what becomes of a write; what leaves late is old."""
         if len(self._writes) >= WAITING_LIMIT:
             self.turned_away += 1
-            raise BusyError(
-                self._wire.actuator.name, "number of waiting writes", WAITING_LIMIT
-            )
-        turn: asyncio.Future[Sent] = self._loop.create_future()
+            name = self._channel.name
+            raise BusyError(name, "number of waiting writes", WAITING_LIMIT)
+        loop, limit = self._channel.loop, self._channel.actuator.deadline
+        turn: asyncio.Future[Sent] = loop.create_future()
         write = WaitingWrite(registration, command, hold, halts, expires, turn)
         self._writes.append(write)
-        limit, deadlines = self._wire.actuator.deadline, Deadlines.of(self._loop)
-        write.deadline = deadlines.after(limit, self._expire, write, limit)
+        write.deadline = Deadlines.of(loop).after(limit, self._expire, write, limit)
         try:
             return await turn
         except asyncio.CancelledError:
@@ -211,12 +208,17 @@ class WaitingWrites:
 
     def _expire(self, write: WaitingWrite, limit: float, *, last: bool = False) -> None:
         """End a wait; but once what has made it so long may end, and others have a turn."""
-        seconds = 0.0 if last else self._wire.busy_for()
-        if seconds > 0.0:
-            last_time = partial(self._expire, write, limit, last=True)
-            write.deadline = Deadlines.of(self._loop).after(seconds + limit, last_time)
+        channel, right = self._channel, write.registration
+        seconds = limit if channel.safe.state else channel.wire.busy_for()
+        if seconds > 0.0 and not last:
+            over = partial(self._expire, write, limit, last=True)
+            deadlines = Deadlines.of(channel.loop)
+            write.deadline = deadlines.after(seconds + limit, over)
+        elif channel.hold.keeps_away(right, channel.time()):  # it has lost to that
+            assert channel.hold.holder is not None
+            write.end(channel.refuse(right, channel.hold.refusal(channel.hold.holder)))
         else:
-            write.end(NoTurnError(self._wire.actuator.name, "write", limit))
+            write.end(NoTurnError(channel.name, "write", limit))
 
     def above(self, priority: int) -> Registration | None:
         """Return by which right of a higher priority one waits."""
