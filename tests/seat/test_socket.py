@@ -116,6 +116,33 @@ async def test_a_stop_is_done_whatever_is_said_with_it(rover, raw):
         assert robot.wheels.commands[-1] == STILL
 
 
+@pytest.mark.promise("OPS-1", "OPS-3")
+async def test_who_says_no_more_hears_the_outcome(rover, raw):
+    """A script sends its lines and their end: each has an answer, a stop per device."""
+    async with rover(Wander()) as robot, raw() as client:
+        await robot.wheels.until(MOVES)
+        client.send({"id": "1", "act": "list"})
+        client.send({"id": "2", "act": "stop"})
+        client.writer.write_eof()
+
+        assert (await client.answer("1"))["ok"]
+        (told,) = (await client.answer("2"))["result"]["told"]
+        assert told["answered"]
+        assert await client.is_closed()
+
+
+@pytest.mark.promise("OPS-1")
+async def test_who_says_no_more_is_not_kept_for_ever(rover, raw, monkeypatch):
+    """An answer that is long in coming holds no place for a client that may be gone."""
+    monkeypatch.setattr("esair.seat._socket.LAST_WORDS", 0.1)
+    async with rover(Wander()), raw() as client:
+        put = {"receiver": "wander", "data": 1, "interval": 60.0}
+        client.send({"id": "1", "act": "put", **put})
+        client.writer.write_eof()
+
+        assert await client.is_closed()
+
+
 @pytest.mark.promise("OPS-1")
 async def test_an_id_is_that_of_one_act(rover, raw):
     """Another act with it is refused, and not taken for the first one."""

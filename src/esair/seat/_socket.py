@@ -22,6 +22,7 @@ CLIENTS = 16
 WAITING = 256 * 1024
 """How many bytes may wait for a client that does not read; one more and it goes."""
 
+LAST_WORDS = 5.0  # How long who says no more is kept for answers to come, in seconds
 HALF_LINE = 5.0  # How long a client may take for one line, in seconds
 STOP_LANE = 5.0  # How long a client may stay that can only stop the robot, in seconds
 LINGER = 0.5  # How long a client that is turned away may take to hear why, in seconds
@@ -95,6 +96,7 @@ class _Client(Visitor, asyncio.Protocol):
         self.server = server
         self.process = 0
         self._is_out = False
+        self._only_hears = False
         self._loop = asyncio.get_running_loop()
         self._line = bytearray()
         self._skips = False
@@ -115,6 +117,18 @@ class _Client(Visitor, asyncio.Protocol):
             self._patience = self._loop.call_later(LINGER, transport.abort)
         elif self.narrow:
             self._patience = self._loop.call_later(STOP_LANE, self._too_slow)
+
+    def eof_received(self) -> bool:
+        """It says no more, but may read on: what it is owed is told first."""
+        self._only_hears = not self._is_out and self.owed > 0
+        if self._only_hears:
+            self._loop.call_later(LAST_WORDS, self.transport.abort)
+        return self._only_hears
+
+    def answer(self, name: str, done: asyncio.Future[Any]) -> None:
+        super().answer(name, done)
+        if self._only_hears and not self.owed:
+            self.close()
 
     def connection_lost(self, exc: Exception | None) -> None:
         self.server.forget(self)

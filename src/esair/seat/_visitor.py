@@ -355,6 +355,7 @@ class Visitor:
         # How many clients there are, if it is one too many: it can only stop
         self.narrow = 0
         self.stops: bool = False  # Whether it has stopped the robot
+        self.owed: int = 0  # How many of its acts have no answer yet
         self._feeds: dict[str, Feed] = {}
 
     # What a way in provides.
@@ -414,8 +415,9 @@ class Visitor:
             self._follow(message)
         else:
             self.stops |= message.act == "stop"
+            self.owed += 1
             self.console.take(message, self.session).add_done_callback(
-                lambda done: self._answer(message.id, done)
+                lambda done: self.answer(message.id, done)
             )
 
     def refuse(self, name: str | None, error: Exception) -> None:
@@ -423,7 +425,9 @@ class Visitor:
         self.garbage += 1
         self.send(failure(name, error))
 
-    def _answer(self, name: str, done: asyncio.Future[Any]) -> None:
+    def answer(self, name: str, done: asyncio.Future[Any]) -> None:
+        """Tell it the outcome of an act."""
+        self.owed -= 1
         if self.gone:
             return
         if done.cancelled():
