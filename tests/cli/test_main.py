@@ -32,6 +32,14 @@ main(sys.argv[1:])
 """
 
 
+ASCII = """
+import sys
+sys.stdout.reconfigure(encoding="ascii", errors="strict")
+from esair.cli import main
+main(sys.argv[1:])
+"""
+
+
 def test_version_is_that_of_the_package(esair_command, capsys) -> None:
     """``esair --version``."""
     assert esair_command("--version") == 0
@@ -164,6 +172,18 @@ def test_a_full_disk_is_told_in_one_line(start, tmp_path, words) -> None:
     assert process.returncode == 1
     (line,) = told.splitlines()
     assert "No space left on device" in line
+
+
+@pytest.mark.real_clock
+def test_a_terminal_of_few_letters_is_no_error(start, tmp_path) -> None:
+    """What it has no letter for is told by its number."""
+    file = tmp_path / "\N{CYRILLIC SMALL LETTER ER}.toml"
+    file.write_text("", "utf-8")
+    process = start("check", file.name, cwd=tmp_path, code=ASCII)
+    out, told = process.communicate(timeout=60)
+
+    assert process.returncode == 0, told
+    assert "\\u0440.toml: 0 errors" in out
 
 
 def test_no_word_is_cut_at_the_edge_of_a_terminal() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import importlib.metadata
 import importlib.util
@@ -32,6 +33,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if importlib.util.find_spec(package) is None:
             tell(f'the command line needs {package}: pip install "esair[cli]"')
             sys.exit(CANNOT_USE)
+    with contextlib.suppress(AttributeError):  # it may be closed
+        # A terminal of few letters gets the others as numbers, not an error.
+        sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
         code = _run(sys.argv[1:] if arguments is None else list(arguments))
         if sys.stdout is not None:  # it may be closed
