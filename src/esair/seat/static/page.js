@@ -249,7 +249,7 @@ function showSettings(resources) {
 }
 
 function valueOf(text, kind) {
-  if (kind === "float" || kind === "int") return Number(text);
+  if (kind === "float" || kind === "int") return text.trim() === "" ? null : Number(text); // emptied is not 0
   return kind === "bool" ? text === "true" : text;
 }
 
