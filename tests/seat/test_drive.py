@@ -10,11 +10,12 @@ import time
 
 import attrs
 import pytest
+from rich.cells import cell_len
 from tests.patience import within
 from tests.seat.conftest import STILL, Twist, Wander, eventually
 
 import esair
-from esair.cli._hand import command_of, drive
+from esair.cli._hand import _Wheel, command_of, drive
 
 pytestmark = pytest.mark.real_clock
 
@@ -249,6 +250,17 @@ def test_a_speed_that_turns_the_keys_round_is_refused(capsys, speed):
     """Forward means forward: it is told before anything is connected."""
     assert drive("wheels", speed=speed) == 2
     assert "--speed: expected a number above 0" in capsys.readouterr().err
+
+
+@pytest.mark.promise("OPS-4")
+def test_a_line_of_wide_letters_does_not_wrap(capsys, monkeypatch):
+    """What wraps is not erased by the next line: a letter may take two columns."""
+    monkeypatch.setenv("COLUMNS", "20")
+    wheel = _Wheel(None, "wheels", 0.3, 0.5)  # type: ignore[arg-type]
+    wheel._show("refused by fence: " + "\N{HIRAGANA LETTER A}" * 30)
+    line = capsys.readouterr().out.removeprefix("\r\x1b[K")
+    assert line.startswith("refused by fence")
+    assert cell_len(line) <= 19
 
 
 class Terminal:

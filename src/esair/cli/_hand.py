@@ -14,6 +14,8 @@ import tty
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
+from rich.cells import set_cell_size
+
 from esair.cli._errors import CANNOT_USE, tell
 from esair.cli._options import Which
 from esair.seat import Client, connect
@@ -190,5 +192,6 @@ class _Wheel:
         if text != self._shown:
             self._shown = text
             width = shutil.get_terminal_size().columns - 1  # what wraps is not erased
-            sys.stdout.write(f"\r\x1b[K{printable(text)[:width]}")
+            line = set_cell_size(printable(text), width).rstrip()
+            sys.stdout.write(f"\r\x1b[K{line}")
             sys.stdout.flush()
