@@ -13,6 +13,7 @@ import sys
 import threading
 
 import attrs
+import numpy as np
 import pytest
 from tests.patience import within
 from tests.seat.conftest import STILL, Twist, Wander, eventually
@@ -231,7 +232,7 @@ async def test_a_limit_that_is_infinite_is_told_as_none(rover, raw):
 
     class Winch(esair.Actuator[float]):
         safe = 0.0
-        limits = (0.0, math.inf)
+        limits = (np.int64(0), math.inf)  # type: ignore[assignment]
         pull = esair.setting(1.0, min=0.0, max=math.inf)
 
         async def write(self, command: float) -> None:

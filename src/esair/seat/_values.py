@@ -75,7 +75,8 @@ def _range(limits: object) -> Range:
     if not isinstance(limits, tuple | list):
         return None
     low, high = (
-        each if math.isfinite(each) else math.copysign(1.0, each) for each in limits
+        float(each) if math.isfinite(each) else math.copysign(1.0, each)
+        for each in limits
     )
     return low, high
 
