@@ -319,7 +319,11 @@ class _Port:
                 self.bar = need.priority
             beside = output.ports
         beside.append(self)
-        beside.sort(key=lambda port: (-port.priority, port.task.name))
+
+        def priority(port: "Any") -> "Any":  # it has a name already, a lambda has not
+            return -port.priority, port.task.name
+
+        beside.sort(key=priority)
 
     def ask(self, said: "Any", now: int) -> None:
         """Ask for a command; None gives the actuator back. Raise for a bad one."""
@@ -457,11 +461,11 @@ class _Output:
         if still:
             self.tell(self.writer and self.safe, self.writer)
         elif best or self.due:
-            self.look(best)
+            self.ask(best)
         if self.last is not None and not self.writer:
             self.tell()
 
-    def look(self, port: "Any") -> None:
+    def ask(self, port: "Any") -> None:
         """Send what the guards let pass: of a new command, or less of what stands."""
         self.due = stop = False
         writer = port or self.writer
@@ -558,7 +562,7 @@ class Loop:
         self.inputs: "Any" = {}
         self.outputs: "Any" = {}
         self.every: int = _ms(rate)  # steps in 1000 s
-        self._slow: "Any" = []
+        self.pace: "Any" = []  # who has one of its own
         self.parts: "Any" = []
         self.ages: "Any" = [self]
         self.tasks: "Any" = []
@@ -572,17 +576,18 @@ class Loop:
     def insert(self, node: "Any", part: "Any", parts: "Any" = None) -> None:
         """Take a part in, under its name, and give it its turns if it is a slow one."""
         node.name = give_name(part)
-        self.ages.append(part if parts is None else node)
+        aged = part
         if parts is not None:
-            parts[node.name] = node
+            parts[node.name] = aged = node
             if not _COMPUTER or isinstance(part, _Part):  # one of STD opens elsewhere
                 self.parts.append(part)
+        self.ages.append(aged)
         if _COMPUTER and not hasattr(part, "rate"):  # an actuator of STD
             part.rate = None
         node.pace = _ms(part.rate or 0) or self.every
         if node.pace < self.every:
             node.phase = self.every
-            self._slow.append(node)
+            self.pace.append(node)
 
     def step(self) -> None:
         """Make one step, for tests and for boards with a loop of their own.
@@ -596,7 +601,7 @@ class Loop:
 
     def _steps(self) -> "Generator[None]":
         """Make a step each time: a generator has at hand what it works with."""
-        paced, every = self._slow, self.every
+        paced, every = self.pace, self.every
         gap, odd = divmod(1000000, every)
         inputs, outputs = list(self.inputs.values()), list(self.outputs.values())
         dark: "Any" = []  # who is blind, or will be before the next step
@@ -701,7 +706,7 @@ class Loop:
         self.phase += 1000000 * steps
         self._ms += self.phase // self.every
         self.phase %= self.every
-        for node in self._slow:
+        for node in self.pace:
             node.phase += node.pace * steps
 
     def run(
@@ -819,14 +824,18 @@ def _clock(node: "Any", name: str) -> int:
 Reaction.__getattr__ = Loop.__getattr__ = _clock  # type: ignore[attr-defined]
 
 
-def _check(value: "Any", most: "Any" = ()) -> "Any":
+def _check(value: "Any", limits: "Any" = ()) -> "Any":
     """Return a finite number, no value for a row, which may change; raise for NaN.
 
     In a row of readings, such as a scan, infinity stands for "nothing in reach".
     """
     if isinstance(value, _ROWS):
+        if value.__class__ not in _ROWS:  # each is a field
+            limits = _ENDS
         for each in value:
-            if each != each or each in most:
+            if isinstance(each, _ROWS):
+                _check(each)
+            elif each != each or each in limits:
                 break
         else:
             return _ROWS  # what no sensor gives
@@ -835,16 +844,18 @@ def _check(value: "Any", most: "Any" = ()) -> "Any":
     raise ValueError("not finite", value)
 
 
-def _less(value: "Any", most: "Any", safe: "Any") -> "Any":
-    """Return a command with each number moved between that of another and of safe."""
-    if isinstance(most, tuple):
-        parts = map(_less, value, most, safe)
-        return tuple(parts) if most.__class__ is tuple else most.__class__(*parts)
+def _less(value: "Any", command: "Any", safe: "Any") -> "Any":
+    """Return a value with each number moved between that of a command and of safe."""
+    if isinstance(command, tuple):
+        parts = map(_less, value, command, safe)
+        kind = command.__class__
+        return tuple(parts) if kind is tuple else kind(*parts)
     if value == safe or (
-        most.__class__ is not str and min(most, safe) <= value <= max(most, safe)
+        command.__class__ is not str
+        and min(command, safe) <= value <= max(command, safe)
     ):
         return value
-    return most
+    return command
 
 
 def _ms(value: float) -> int:

@@ -1,5 +1,6 @@
 """A robot in C decides as in MIN: to the bit in double, but for rounding in float."""
 
+import math
 import random
 import shutil
 import struct
@@ -201,6 +202,38 @@ def test_a_guard_that_refuses_keeps_no_latch_open(tmp_path) -> None:
     told = robots.run_c(robot, program, journal)
     assert told == robots.run_min(robot, journal)
     assert sum(len(each) == 2 for each in told) == 4  # safe, 0.5, safe, and at the end
+
+
+SCANS = """
+from collections import namedtuple
+from esair.minimal import Reaction, reads, writes
+
+Scan = namedtuple("Scan", ("first", "ranges"))
+
+class Near(Reaction):
+    s0 = reads(Scan, max_age=0.01)
+    m0 = writes(float)
+
+    def react(self, s0):
+        return s0.first + min(1.0, s0.ranges[0])
+"""
+
+
+def test_a_row_in_a_reading_is_looked_at_too(tmp_path) -> None:
+    """NaN is none anywhere; infinity is nothing in reach, but only in a row."""
+    module = robots.imported(SCANS, tmp_path / "scans.py")
+    scan, nan, inf = module.Scan, math.nan, math.inf
+    robot = robots.Robot(
+        [module.Near()],
+        [robots.Given("s0", scan(0.5, (1.0, 1.0)))],
+        [robots.Told("m0", 0.0, 1.0)],
+    )
+    bad = [(0.5, (nan, 1.0)), (0.5, (1.0, nan)), (inf, (1.0, 1.0))]
+    readings = [scan(*each) for each in [*bad, (0.5, (0.25, inf)), *bad]]
+    journal = [([each], [True]) for each in readings]
+    told = robots.run_c(robot, robots.in_c(robot, tmp_path), journal)
+    assert told == robots.run_min(robot, journal)
+    assert [each[1] for each in told if len(each) == 3] == [1, 2, 3, 3, 4, 5, 6]
 
 
 def near(one: Any, other: Any) -> bool:

@@ -3,8 +3,12 @@
 # ruff: noqa: PT017
 # MicroPython has no pytest.
 
+from collections import namedtuple
+
 from esair import minimal
 from esair.minimal import Actuator, Loop, Reaction, Sensor, guards, reads, writes
+
+Scan = namedtuple("Scan", ("first", "ranges"))
 
 
 class Sonar(Sensor):
@@ -860,6 +864,21 @@ def rule_infinity_in_a_row_is_nothing_in_reach():
     row[0] = float("nan")  # the same list, filled anew
     loop.step()
     assert loop.faults == 1, loop.fault
+
+
+def rule_a_row_in_a_reading_is_looked_at_too():
+    seen = []
+
+    class Away(Go):
+        def react(self, sonar):
+            seen.append(sonar)
+
+    nan, inf = float("nan"), float("inf")
+    far = [Scan(0.5, (1.0, inf)), [[0.5, inf], [inf, 0.5]]]
+    bad = [Scan(0.5, (nan, 1.0)), Scan(inf, (1.0, 1.0)), [[0.5, 1.0], [nan, 0.5]]]
+    loop, _ = told_by(far[:1] + bad + far[1:], 5, Away())
+    assert seen == far, seen
+    assert loop.faults == 3, loop.fault
 
 
 def rule_a_number_is_no_dictionary_of_commands():

@@ -160,12 +160,7 @@ class Wiring:
         )
 
     def _input(self, name: str, kind: Type) -> list[str]:
-        bad = ["!isfinite(value)"] if kind is REAL else []
-        for n, each in enumerate(kind.fields):  # infinity in a row is nothing in reach
-            bad += [f"isnan(value{kind.field(n)})"] * (each is REAL)
-        test = f"if ({' || '.join(bad)}) return false;" if bad else ""
-        if kind.row is REAL:
-            test = f"for (int i = 0; i < {len(bad)}; i++) if (isnan(value.v[i])) return false;"
+        test = "\n    ".join(_unfit(kind, "value"))
         empty = "{0}" if kind.fields else "0"
         return _code("sensor.c", type=kind.c, name=name, test=test, empty=empty)
 
@@ -376,6 +371,23 @@ class Wiring:
 
 
 _SAYS_NOTHING = {minimal.Reaction.blind, actions.Reaction.blind}
+
+
+def _unfit(kind: Type, value: str) -> list[str]:
+    """Write what keeps a reading out that is not finite; in a row infinity may be."""
+    if kind is REAL:
+        return [f"if (!isfinite({value})) return false;"]
+    if kind.row is REAL:
+        count, test = len(kind.fields), f"if (isnan({value}.v[i])) return false;"
+        return [f"for (int i = 0; i < {count}; i++) {test}"]
+    found = list[str]()
+    for n, each in enumerate(kind.fields):
+        field = value + kind.field(n)
+        if each is REAL and not kind.names:
+            found.append(f"if (isnan({field})) return false;")
+        else:
+            found += _unfit(each, field)
+    return found
 
 
 def filled(file: str, **values: object) -> str:
