@@ -573,21 +573,21 @@ class Loop:
         for reaction in reactions:
             _Task(self, reaction)
 
-    def insert(self, node: "Any", part: "Any", parts: "Any" = None) -> None:
+    def insert(self, task: "Any", part: "Any", parts: "Any" = None) -> None:
         """Take a part in, under its name, and give it its turns if it is a slow one."""
-        node.name = give_name(part)
+        task.name = give_name(part)
         aged = part
         if parts is not None:
-            parts[node.name] = aged = node
+            parts[task.name] = aged = task
             if not _COMPUTER or isinstance(part, _Part):  # one of STD opens elsewhere
                 self.parts.append(part)
         self.ages.append(aged)
         if _COMPUTER and not hasattr(part, "rate"):  # an actuator of STD
             part.rate = None
-        node.pace = _ms(part.rate or 0) or self.every
-        if node.pace < self.every:
-            node.phase = self.every
-            self.pace.append(node)
+        task.pace = _ms(part.rate or 0) or self.every
+        if task.pace < self.every:
+            task.phase = self.every
+            self.pace.append(task)
 
     def step(self) -> None:
         """Make one step, for tests and for boards with a loop of their own.
@@ -810,12 +810,12 @@ class Loop:
             self.say("esair: %s: %r, fault %d" % (name, fault, self.faults))
 
 
-def _clock(node: "Any", name: str) -> int:
+def _clock(self: "Any", name: str) -> int:
     """Return the time of a node: a number that is made only when somebody asks."""
-    now: int = (node._days << 28) + node._ms
+    now: int = (self._days << 28) + self._ms
     if name == "steps":
-        now = (now * node.every + node.phase) // 1000000  # periods
-        return node.last + now - node.late  # type: ignore[no-any-return]
+        now = (now * self.every + self.phase) // 1000000  # periods
+        return self.last + now - self.late  # type: ignore[no-any-return]
     if name != "now_ms":
         raise AttributeError(name)
     return now
@@ -830,10 +830,11 @@ def _check(value: "Any", limits: "Any" = ()) -> "Any":
     In a row of readings, such as a scan, infinity stands for "nothing in reach".
     """
     if isinstance(value, _ROWS):
-        if value.__class__ not in _ROWS:  # each is a field
+        deep = not limits  # commands are flat
+        if deep and value.__class__ not in _ROWS:  # each is a field
             limits = _ENDS
         for each in value:
-            if isinstance(each, _ROWS):
+            if deep and isinstance(each, _ROWS):
                 _check(each)
             elif each != each or each in limits:
                 break
