@@ -227,11 +227,11 @@ static void es_review(es_output *o, es_port *port)
         memcpy(o->passing, command, o->size);
         command = o->passing;
         es_stopped = false;
-        for (int i = 0; i < o->n_guards; i++) /* one more keeps no latch open */
-            if ((!es_stopped || o->guards[i].latch) && !es_passes(&o->guards[i]))
-                es_stopped = true;
+        es_guard *g = o->guards, *end = g + o->n_guards;
+        for (; g < end; g++) /* one more keeps no latch open */
+            if ((!es_stopped || g->latch) && !es_passes(g)) es_stopped = true;
         if (es_stopped) {
-            robot.refused += port != NULL;
+            if (port != NULL) robot.refused++;
             o->writer = NULL;
             return;
         }
@@ -269,7 +269,7 @@ static void es_settle(es_output *o, uint32_t late)
     else if (holder != NULL && best != holder && holder->priority > bar) bar = holder->priority;
     o->holder = holder;
     if (best == NULL || best->priority <= bar) {
-        robot.refused += best != NULL;
+        if (best != NULL) robot.refused++;
         best = NULL;
         still = false;
     } else if (!still) {
