@@ -183,3 +183,24 @@ async def test_a_write_waits_for_what_takes_longer_than_a_write(
             await first
         assert valve.done[-1] == "2.0"
     assert valve.met == set()
+
+
+async def test_a_setting_may_have_any_name(user_of: Any) -> None:
+    """Of what tells the device nothing is meant by it, at the opening and later."""
+
+    class Named(FakeActuator[float]):
+        limit = esair.setting(1.0)
+        method = esair.setting(1.0)
+        kind = esair.setting(1.0)
+
+        async def apply(self, **changes: Any) -> None:
+            told.append(changes)
+
+    told: list[dict[str, Any]] = []
+    motor = Named("motor", safe=0.0)
+    motor.limit, motor.method, motor.kind = 2.0, 3.0, 4.0
+    user = user_of("user", motor=esair.writes(float, configure=True))
+    async with esair.Robot(resources=[motor], behaviors=[user]):
+        assert told == [{"limit": 2.0, "method": 3.0, "kind": 4.0}]
+        await user.motor.configure(limit=5.0, method=6.0)
+        assert told[1:] == [{"limit": 5.0, "method": 6.0}]

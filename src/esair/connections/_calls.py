@@ -80,7 +80,7 @@ class Method:
     def _find_usual(self) -> bool:
         return self.executor is None and not self.is_plain
 
-    def bound(self, **options: Any) -> Method:
+    def bound(self, /, **options: Any) -> Method:
         """Return the same with keyword arguments."""
         return attrs.evolve(self, function=functools.partial(self.function, **options))
 

@@ -184,6 +184,7 @@ class Operations:
 
         Raises:
             CallRefused: The device was not free within the limit, in seconds.
+            Exception: What the driver has raised.
         """
         outcome: asyncio.Future[End] = self._loop.create_future()
         this = self.errand = Errand(method, limit, outcome)
@@ -198,10 +199,6 @@ class Operations:
         finally:
             deadline.cancel()
             self.errand = None
-        if isinstance(end.error, TimeoutError) and not isinstance(
-            end.error, EsairError
-        ):
-            end = End(None, DriverStuckError(self._device.name, method.name, limit))
         if end.error is not None:
             raise end.error
         return end.value

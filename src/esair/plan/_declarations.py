@@ -181,7 +181,9 @@ def yields(method: Callable[..., Any]) -> bool:
     return inspect.isgeneratorfunction(method) or inspect.isasyncgenfunction(method)
 
 
-def _cannot(method: Callable[..., Any], *values: object, **named: object) -> str | None:
+def _cannot(
+    method: Callable[..., Any], /, *values: object, **named: object
+) -> str | None:
     """Say why a method cannot be called so; None if it can, or if nobody knows."""
     try:
         signature = inspect.signature(method)

@@ -267,14 +267,8 @@ class Turns:
         self._following.add_done_callback(self._look_again)
 
     def _round_over(self) -> None:
-        self.close()
+        self.round = None
         self._crew.ended()
-
-    def close(self) -> None:
-        """Wait for no moment any more when a mode may follow again."""
-        if self.round is not None:
-            self.round.cancel()
-            self.round = None
 
     def _look_again(self, went: asyncio.Task[bool]) -> None:
         """Those of the mode that was gone to may have ended before that was over."""
@@ -602,7 +596,8 @@ class BehaviorDeployment:
         until = asyncio.get_running_loop().time() + self.grace + MARGIN
         await self.commands.close()
         if self.turns.round is not None:
-            self.turns.close()
+            self.turns.round.cancel()
+            self.turns.round = None
         self.mediator.close()
         # What the user is taking away goes its own way.
         leaving = set(self.ending)

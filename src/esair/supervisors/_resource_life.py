@@ -132,7 +132,7 @@ class Opener:
             if value != settings_of(type(resource))[name].default
         }
         if changes:
-            await self.call("apply", **changes)
+            await self.apply(changes)
         if isinstance(self._channel, ActuatorChannel):
             await self._channel.safe.at_opening()
             self._channel.wire.watch_by(self.watch)
@@ -148,16 +148,35 @@ class Opener:
                 "plug in the right device, or replace the resource",
             )
 
-    async def call(self, kind: str, **options: Any) -> Any:
-        return await self._run(kind, self.driver.method(kind), **options)
+    async def call(self, kind: str) -> Any:
+        return await self._run(kind, self.driver.method(kind))
+
+    async def apply(self, settings: dict[str, Any], *, in_turn: bool = False) -> None:
+        """Tell the device its settings; in turn: as soon as it does nothing else.
+
+        Raises:
+            CallRefused: Its turn did not come: the device was not asked.
+        """
+        method = self.driver.method("apply").bound(**settings)
+        await self._run("apply", method, in_turn=in_turn)
+
+    @property
+    def patience(self) -> float:
+        """How long a call may take that nobody has limited, in seconds."""
+        return max(self.resource.deadline, 1.0)
 
     async def _run(
-        self, kind: str, method: Method, limit: float | None = None, **options: Any
+        self,
+        kind: str,
+        method: Method,
+        limit: float | None = None,
+        *,
+        in_turn: bool = False,
     ) -> Any:
-        limit = max(self.resource.deadline, 1.0) if limit is None else limit
-        if options:
-            method = method.bound(**options)
+        limit = self.patience if limit is None else limit
         try:
+            if in_turn:
+                return await self._channel.operations.run_errand(method, limit)
             return await self.calls.run(kind, method, limit=limit)
         except EsairError:
             raise
@@ -407,13 +426,13 @@ class ResourceLife:
         resource = self.resource
         before = {name: resource.settings[name] for name in changes}
         try:
-            await self._apply(changes)
+            await self.device.apply(changes, in_turn=True)
         except CallRefused:  # nobody has asked the device
-            raise NoTurnError(self.name, "apply", self._patience) from None
+            raise NoTurnError(self.name, "apply", self.device.patience) from None
         except Exception as error:
             self._check_ready(error)
             try:
-                await self._apply(before)
+                await self.device.apply(before, in_turn=True)
             except Exception as second:
                 # Nobody knows its settings now: close it and begin anew.
                 unknown = f"its settings are unknown: {describe(second)}"
@@ -426,14 +445,6 @@ class ResourceLife:
         self.channel.configured()
         if self.device.watch is not None:
             await self.device.watch.arm()
-
-    async def _apply(self, settings: dict[str, Any]) -> None:
-        method = self.device.driver.method("apply").bound(**settings)
-        await self.channel.operations.run_errand(method, self._patience)
-
-    @property
-    def _patience(self) -> float:
-        return max(self.resource.deadline, 1.0)
 
     def status(self) -> ResourceStatus:
         channel = self.channel
