@@ -328,9 +328,11 @@ async def test_its_process_is_killed(times: int) -> None:
         for each in made.behaviors:
             status = robot.behaviors.query(each.name)
             assert (status.state, status.restarts) == (esair.BehaviorState.RUNNING, 0)
-        judge.do("names")
-        names = (await judge.until("names"))[1]
-        assert names.count("rover") >= 1
+        names: list[str] = []
+        async with asyncio.timeout(5.0):
+            while "rover" not in names:  # who is new is made known by and by
+                judge.do("names")
+                names = (await judge.until("names"))[1]
 
 
 @pytest.mark.promise("ROS-2")
@@ -350,12 +352,12 @@ async def test_a_topic_at_a_thousand_hertz_slows_nothing() -> None:
         worked = time.process_time()
         await asyncio.sleep(3.0)
         worked = time.process_time() - worked
+        late = sorted(beating.late)
         rate = (made.bus.stats.received - before) / 3.0
         assert 40.0 < rate < 600.0  # of two topics, 200 Hz each is wanted, and beats
-        # How late a beat is depends on who else works here, so what is measured is
-        # what it takes of the robot's process.
-        assert worked < 0.9, (worked, rate)
-        assert len(beating.late) >= 75, (len(beating.late), rate)
+        assert worked < 0.9, (worked, rate)  # of its own time, whoever else works here
+        assert len(late) >= 140, (len(late), rate)
+        assert late[len(late) * 95 // 100] < 0.01, (late[-10:], rate)
         assert len(made.wheels.commands) - told >= 30
 
 
