@@ -447,8 +447,7 @@ class ActuatorChannel(Device):
         wire = self.wire
         if wire.lane is not None or self.safe.state is not None:
             return self._when_idle(registration, command, None, self.gate.halts)
-        if wire.watch is not None:
-            self._check_watch()
+        self._check_watch()
         moved = self.stillness.moves
         guard = self.gate.ticket(registration) if wire.blocks else None
         sent = wire.send(command, registration.behavior, guard)
@@ -767,7 +766,6 @@ class ActuatorChannel(Device):
         """An operation has its outcome: nobody knows what moves, so it is made safe."""
         if call is not None and call is self.wire.lane and call.ended is not None:
             self.wire.lane = None
-        self.hold.begun = min(self.hold.begun, self.time())
         self.safe.after_operation()
         self.idle()
 

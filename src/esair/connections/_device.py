@@ -192,10 +192,6 @@ class Operations:
         try:
             self.look()
             end = await outcome
-        except asyncio.CancelledError:
-            if type(this.call) is Call and this.call.ended is None:
-                this.call.cancel()
-            raise
         finally:
             deadline.cancel()
             self.errand = None

@@ -184,7 +184,7 @@ class Asking:
                 self._device.publish(value, number)
             else:  # its device was lost by this very call
                 calls.late += 1
-        if self._device.operations.current is not None or self.waiting.readers:
+        if self.waiting.readers:
             self.free()
 
     def _ended(self, call: Call, end: End) -> None:

@@ -268,7 +268,6 @@ class SensorPort(Port[T]):
         self._check_loop()
         await Budget.spend()  # whoever begins again and again has lost its sensor
         stream = _Stream(self)
-        self._channel.cached(self.registration, 0.0)  # checks the registration
         self._channel.follow(stream)
         try:
             while True:

@@ -647,8 +647,6 @@ class Mediator:
         new.admit()
         while new.outbox and new.give(new.outbox[0]):
             del new.outbox[0]
-        for each in (new.askers, *new.queues.values()):
-            each.roused()
 
     def close(self) -> None:
         """End every request: the robot stops."""
