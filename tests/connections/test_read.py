@@ -412,6 +412,9 @@ async def test_a_stream_ends_when_its_registration_is_revoked(
         robot.resources.revoke(user.radar.registration)
         with pytest.raises(esair.NotRegisteredError):
             await following
+        radar.value = 1.0  # who begins then gets no value either
+        with pytest.raises(esair.NotRegisteredError):
+            await anext(aiter(user.radar))
 
 
 @pytest.mark.promise("SC-3")

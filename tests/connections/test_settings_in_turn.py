@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from typing import Any
 
 import pytest
@@ -204,3 +205,29 @@ async def test_a_setting_may_have_any_name(user_of: Any) -> None:
         assert told == [{"limit": 2.0, "method": 3.0, "kind": 4.0}]
         await user.motor.configure(limit=5.0, method=6.0)
         assert told[1:] == [{"limit": 5.0, "method": 6.0}]
+
+
+async def test_what_fails_when_nobody_waits_any_more_is_no_noise(
+    user_of: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Who gave up is told nothing, and the event loop does not complain of it."""
+
+    class Picky(Motor):
+        async def apply(self, **changes: Any) -> None:
+            await super().apply(**changes)
+            if changes["gain"] > 1.0:
+                raise ValueError("too much")
+
+    motor, user = (
+        Picky(name="motor"),
+        user_of("user", motor=esair.writes(float, configure=True)),
+    )
+    async with esair.Robot(resources=[motor], behaviors=[user]):
+        configuring = asyncio.ensure_future(user.motor.configure(gain=2.0))
+        await asyncio.sleep(0.1)
+        configuring.cancel()
+        del configuring
+        await asyncio.sleep(2.0)
+        gc.collect()
+        assert motor.done == ["0.0", "apply", "apply"]
+    assert "never retrieved" not in caplog.text

@@ -461,3 +461,17 @@ async def test_after_a_rest_its_budget_is_full_again() -> None:
         await robot.behaviors.switch("on", reason="and on")
         await asyncio.sleep(60.0)
         assert len(crashes.begun) - begun == 4
+
+
+@pytest.mark.promise("SUP-4")
+async def test_a_start_does_not_wait_for_what_has_failed() -> None:
+    """Its restart comes later; the others begin at once."""
+
+    async def fail(_behavior: object) -> None:
+        raise RuntimeError("no map")
+
+    began = asyncio.get_running_loop().time()
+    broken = Scripted(for_ever, setup=fail, name="broken")
+    async with esair.Robot(behaviors=[broken, Idle(name="other")]) as robot:
+        assert asyncio.get_running_loop().time() - began < 0.1
+        assert robot.behaviors.query("broken").state is State.RESTARTING

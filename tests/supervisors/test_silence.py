@@ -322,3 +322,27 @@ async def test_a_device_that_answers_with_what_is_old_is_not_silent() -> None:
         with pytest.raises(esair.StaleReadingError) as raised:
             await user.slow.read(fresh=True, timeout=0.5)
         assert "did not answer" not in str(raised.value)
+
+
+@pytest.mark.promise("RES-3")
+async def test_an_old_silence_is_no_excuse(fake_sensor: Any) -> None:
+    """Its sensor has spoken since: what a behavior fails at later is its own fault."""
+
+    class Slow(esair.Behavior):
+        sonar = esair.reads(float, max_age=1.5)
+
+        async def run(self) -> None:
+            await asyncio.sleep(3.07)
+            raise esair.StaleReadingError("sonar", 2.0, 1.5)
+
+    class Other(esair.Behavior):
+        sonar = esair.reads(float)
+
+        async def run(self) -> None:
+            async for _ in self.sonar:
+                pass
+
+    sonar = fake_sensor("sonar", 1.0, rate=20.0)
+    async with esair.Robot(resources=[sonar], behaviors=[Slow(), Other()]) as robot:
+        await asyncio.sleep(3.1)
+        assert robot.behaviors.query("slow").state is esair.BehaviorState.RESTARTING
