@@ -44,15 +44,11 @@ MUTATED = ["connections", "supervisors"]
 TESTS = [
     *(f"tests/{room}" for room in ("connections", "supervisors", "protection", "turn")),
     *(f"tests/{room}" for room in ("actions", "resources", "journal", "recording")),
-    *(f"tests/{room}" for room in ("replay", "seat", "plan", "testing")),
-    *(
-        f"tests/standard/test_{it}.py"
-        for it in ("robot", "halt", "cancellation", "one_owner")
-    ),
-    *(
-        f"tests/standard/test_{it}.py"
-        for it in ("nobody_takes_the_loop", "state_machine")
-    ),
+    *(f"tests/{room}" for room in ("replay", "seat", "plan", "testing", "standard")),
+    *(f"tests/{room}" for room in ("loop", "control", "config", "watchdog")),
+    *(f"tests/{room}" for room in ("buses", "drivers")),
+    *(f"tests/net/test_{it}.py" for it in ("parts", "gaps", "chains", "config")),
+    "tests/placement/test_clock.py",
 ]
 IN_REAL_TIME = 3
 """The exit code of a child in which a test in real time has failed; and how often it must."""

@@ -117,9 +117,7 @@ def _says_something(node: ast.AST) -> bool:
             return True
         case ast.FunctionDef(name=name):
             return name in NOT_CALLED
-        case ast.keyword(
-            arg="init"
-        ):  # attrs would write an `__init__` that nobody calls
+        case ast.keyword(arg="init" | "kw_only"):  # nobody calls it in the other way
             return True
         case ast.Import() | ast.ImportFrom() | ast.Assert():
             return True
