@@ -365,3 +365,24 @@ async def test_its_priority_is_bound_by_that_of_the_same_resource() -> None:
     async with esair.Robot(resources=resources, behaviors=[performer], policies=rule):
         await performer.perform(step)
     assert seen == {"left": 7, "middle": 0, "right": 2}
+
+
+@pytest.mark.promise("PRO-1")
+async def test_what_could_not_begin_protects_nothing_more() -> None:
+    """It was blind until its setup had ended, which it never has."""
+
+    class Look(esair.Behavior):
+        wheels = esair.writes(float, priority=9, blind="safe")
+
+        async def setup(self) -> None:
+            await asyncio.sleep(0.1)
+            raise RuntimeError("no map")
+
+    async def act(captain: Captain) -> Any:
+        with pytest.raises(RuntimeError, match="no map"):
+            await captain.perform(Look())
+        return await captain.wheels.write(0.25)
+
+    outcome, commands = await told(act)
+    assert isinstance(outcome, esair.Written)
+    assert [each for each in commands if each] == [0.25]

@@ -829,3 +829,25 @@ def test_the_rulebook_finds_what_is_declared_wrongly() -> None:
         "grind: it blocks its thread for up to 9 s",
     ):
         assert any(each.startswith(part) for each in told), (part, told)
+
+
+@pytest.mark.promise("SUP-2")
+async def test_what_is_about_to_go_begins_with_nothing() -> None:
+    """It is made safe first, which may take a while; the error says why."""
+
+    class Heavy(Lift):
+        async def write(self, command: float) -> None:
+            if len(self.did) > 0:
+                await asyncio.sleep(0.3)
+            await super().write(command)
+
+    lift = Heavy(name="lift")
+    user: Any = esair.Behavior(writes={"lift": esair.writes(float, configure=True)})
+    async with esair.Robot(resources=[lift], behaviors=[user]) as robot:
+        await user.lift.write(0.5)
+        replacing = asyncio.ensure_future(robot.resources.replace("lift", Lift()))
+        await asyncio.sleep(0.05)
+        with pytest.raises(esair.AccessDeniedError, match="is being replaced"):
+            await user.lift.operate("home")
+        await replacing
+        assert lift.did == [0.0, 0.5, 0.0]

@@ -469,7 +469,6 @@ class Order(Request):
         mine = False
         if self._begins is not None:
             self._begins.cancel()
-            self._begins = None
         worker, self.worker = self.worker, None
         if self._cancels:
             # Only what the withdrawal did is undone: who is removed meanwhile ends.
