@@ -370,6 +370,52 @@ async def test_a_latch_outlasts_the_rest_of_its_guard() -> None:
         await wheels.until(1.0, timeout=1.0)
 
 
+@pytest.mark.promise("MODE-2", "PRO-2")
+@pytest.mark.parametrize("verb", ["replace", "remove"])
+@pytest.mark.parametrize("when", ["at rest", "amid the switch"])
+async def test_a_guard_that_is_replaced_where_it_rests_leaves_nothing_behind(
+    when: str, verb: str
+) -> None:
+    """But its latch, which the new one has; also while others of its mode still end."""
+
+    class Latch(Stopper):
+        wheels = esair.guards(float, latch=True)
+
+        def react(self, sonar: float, wheels: float) -> float | None:
+            return wheels if sonar > 0.5 else None
+
+    sonar = FakeSensor("sonar", 0.1)
+    robot, wheels = make(
+        Mover("wander", 1.0, deaf=0.2),
+        Mover("dock", 2.0),
+        Latch(name="latch"),
+        modes={"explore": ["wander", "latch"], "dock": ["dock"]},
+        resources=[sonar],
+    )
+    async with robot:
+        await asyncio.sleep(0.5)
+        switching = asyncio.create_task(robot.behaviors.switch("dock"))
+        await asyncio.sleep(0.1)
+        if when == "at rest":
+            await switching
+        await robot.behaviors.replace("latch", Latch())
+        sonar.feed(2.0)
+        await switching
+        await asyncio.sleep(0.5)
+        assert set(wheels.commands) == {0.0}
+        with pytest.raises(esair.AccessDeniedError, match="it rests"):
+            robot.behaviors.reset("latch")
+        if verb == "remove":
+            await robot.behaviors.remove("latch")
+        else:
+            await robot.behaviors.switch("explore")
+            await asyncio.sleep(0.5)
+            assert set(wheels.commands) == {0.0}
+            robot.behaviors.reset("latch")
+        await wheels.until(lambda command: command > 0.0, timeout=0.1)
+        assert len(robot.resources.why("wheels").guards) == (verb == "replace")
+
+
 @pytest.mark.promise("MODE-3")
 async def test_when_all_of_a_mode_have_ended_the_next_one_follows() -> None:
     """Explore, dock, charge: and the end of the last one is that of the robot."""

@@ -264,7 +264,7 @@ class BehaviorSupervisor(abc.Supervisor):
             plan = crew.resources.plan
             refuse_all(examine_action(plan, action, instead_of=old.action), action)
             new = Member(action, crew, name)
-            if not crew.turns.rest(new):
+            if not (rests := crew.turns.rest(new)):
                 new.gate = asyncio.get_running_loop().create_future()
                 new.sight.stand_by()
                 try:
@@ -281,7 +281,7 @@ class BehaviorSupervisor(abc.Supervisor):
                     await crew.end(new)
                     new.sight.leave()
                     raise
-                new.sight.take_over(old.sight)
+            new.sight.take_over(old.sight, rests=rests)
             self._commands.no_return()
             crew.take_in(new)
             crew.mediator.moved(old.mail, new.mail)

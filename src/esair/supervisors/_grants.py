@@ -100,6 +100,7 @@ class Sight:
     def rest(self) -> None:
         """Leave the table for a while; a latch stays, which only the user ends."""
         self._table.leave(each for each in self.entries if not each.latched)
+        self._table.blind(self.entries, "it rests")
 
     def stand_by(self) -> None:
         """Enter the table where the one whose place it will take has no entry."""
@@ -108,13 +109,20 @@ class Sight:
         }
         self._table.enter(each for each in self.entries if each.actuator not in there)
 
-    def take_over(self, old: Sight) -> None:
-        there = set(self._table)
-        self._table.enter(each for each in self.entries if each not in there)
+    def take_over(self, old: Sight, *, rests: bool) -> None:
+        """Take the place of another; of one that rests only a latch is in the table."""
         for each in self.entries:
             for before in old.entries:
                 each.inherit(before)
+        there = set(self._table)
+        self._table.enter(
+            each
+            for each in self.entries
+            if each not in there and (each.latched or not rests)
+        )
         self._table.leave(old.entries)
+        if rests:
+            self.rest()
 
     def blind(self, reason: str) -> None:
         """Take note why it cannot decide; empty if it can."""
