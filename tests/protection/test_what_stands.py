@@ -151,3 +151,32 @@ async def test_a_replacement_that_is_given_up_holds_nothing() -> None:
         await asyncio.sleep(0.1)
         assert await user.wheels.write(1.0)
         assert not robot.actuators.protections.of("wheels")
+
+
+@pytest.mark.promise("PRO-8", "PRO-9")
+@pytest.mark.parametrize("before", ["nobody", "another"])
+async def test_who_comes_when_nobody_guards_judges_what_stands(before: str) -> None:
+    """What has latched it is that command, not one of former guards, or none at all."""
+
+    class Latch(Scale):
+        wheels = esair.guards(float, latch=True)
+        asked: tuple[float, ...] = ()
+
+        def react(self, sonar: float, wheels: float) -> float:
+            self.asked += (wheels,)
+            return super().react(sonar, wheels)
+
+    sonar, user = FakeSensor("sonar", 0.5, type=float), writer()
+    wheels: Any = FakeActuator("wheels", safe=0.0, command_timeout=9.0)
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]) as robot:
+        if before == "another":
+            await robot.behaviors.add(Scale(name="before"))
+            await user.wheels.write(-0.4)
+            await robot.behaviors.remove("before")
+        await user.wheels.write(0.8)
+        latch = Latch(name="latch")
+        await robot.behaviors.add(latch)
+        await asyncio.sleep(0.3)
+        assert wheels.commands[-1] == 0.0
+        robot.behaviors.reset("latch")
+        assert latch.asked == (0.8,)

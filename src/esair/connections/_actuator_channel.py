@@ -264,7 +264,7 @@ class ActuatorChannel(Device):
     ) -> None:
         """Obey these from this moment on; the table calls it at each change."""
         self.gate.holds = holds
-        self.guards.all = guards
+        self.guards.obey(guards)
         self._settle()
         self.stillness.keep_still()
 

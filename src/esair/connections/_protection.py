@@ -333,6 +333,17 @@ class Guards:
     all: tuple[Protection, ...] = ()  # by priority
     asked: Any = None  # what was asked for last, before a guard has weighed it
 
+    def obey(self, guards: tuple[Protection, ...]) -> None:
+        """Have these from now on; while there are none, nobody hears what is asked for."""
+        self.all = guards
+        if not guards:
+            self.asked = None
+
+    @property
+    def standing(self) -> Any:
+        """What was asked for last; what was told, if there was no guard to hear it."""
+        return self._wire.told.command if self.asked is None else self.asked
+
     def weigh(
         self, command: Any, *, moving: bool
     ) -> tuple[Protection | None, str | None, Any]:
@@ -385,7 +396,7 @@ class Guards:
         for each in self.all:
             if each.latch and each.reason:
                 still, hand = self._wire.still, self._wire.copied
-                each.weigh(self.asked, still, moving=True, hand=hand)
+                each.weigh(self.standing, still, moving=True, hand=hand)
 
     @property
     def stopping(self) -> Protection | None:
@@ -511,7 +522,7 @@ class Stillness:
         gate, numbers = self._gate, self._gate.numbers
         if verdict(gate, self._hold, None, now) is not None:
             return
-        stop, _by, passed = guards.weigh(guards.asked, moving=True)
+        stop, _by, passed = guards.weigh(guards.standing, moving=True)
         if stop is not None:
             self.stay()
             return
