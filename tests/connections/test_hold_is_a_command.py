@@ -123,3 +123,26 @@ async def test_after_a_halt_it_goes_on_from_where_it_was_told_to_be() -> None:
         last = arm.told[-1]
         assert isinstance(last, float)
         assert 2.7 < last <= 3.0
+
+
+@pytest.mark.promise("PRO-5")
+async def test_a_guard_of_places_is_not_asked_about_it(fake_sensor: Any) -> None:
+    """What is safe passes no guard: it would crash over what is no place."""
+
+    class Low(esair.Reaction):
+        roof = esair.reads(float)
+        arm = esair.guards(float)
+
+        def react(self, roof: float, arm: float) -> float:
+            return min(roof, arm)
+
+    arm: Any = Arm()
+    mover: Any = esair.Behavior(name="mover", writes={"arm": esair.writes(float)})
+    robot = esair.Robot(
+        resources=[arm, fake_sensor("roof", 2.0)], behaviors=[Low(), mover]
+    )
+    async with robot:
+        await asyncio.sleep(0.2)
+        assert await mover.arm.write(esair.HOLD)
+        assert await mover.arm.write(1.0)
+        assert robot.behaviors.query("low").restarts == 0

@@ -39,7 +39,7 @@ from esair.exceptions import (
 from esair.journal import Kind
 from esair.loop import REACHED, CallRefused
 from esair.messages import Answer, Refused, ResourceState, Why, Written
-from esair.resources import Actuator
+from esair.resources import HOLD, Actuator
 
 if TYPE_CHECKING:
     from esair.connections._sensor_channel import AppliedChannel
@@ -465,7 +465,7 @@ class ActuatorChannel(Device):
         guards, stillness = self.guards, self.stillness
         stop: Protection | None = None
         by: str | None = None
-        if guards.all:
+        if guards.all and command is not HOLD:  # what is safe passes no guard
             stop, by, command = guards.weigh(command, moving=stillness.moves)
             if stop is not None:
                 stillness.stay()
