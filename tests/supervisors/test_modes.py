@@ -370,6 +370,40 @@ async def test_a_latch_outlasts_the_rest_of_its_guard() -> None:
         await wheels.until(1.0, timeout=1.0)
 
 
+@pytest.mark.promise("MODE-2")
+async def test_who_is_about_to_enter_is_not_restarted() -> None:
+    """A reaction, too: it would run twice, and the first one beyond the robot's end."""
+    steps: list[float] = []
+
+    class Step(esair.Reaction):
+        rate = 10.0
+        sonar = esair.reads(float)
+        wheels = esair.writes(float)
+
+        def react(self, sonar: float) -> None:
+            steps.append(esair.now())
+
+    robot, _ = make(
+        Mover("wander", 1.0, deaf=0.2),
+        Mover("dock", 0.0, sets_up=0.05),
+        Step(name="step"),
+        modes={"explore": ["wander"], "dock": ["dock", "step"]},
+        resources=[FakeSensor("sonar", 1.0)],
+    )
+    async with robot:
+        await asyncio.sleep(0.2)
+        switching = asyncio.create_task(robot.behaviors.switch("dock"))
+        await asyncio.sleep(0.1)
+        with pytest.raises(esair.RefusedError, match="it runs in mode dock"):
+            await robot.behaviors.restart("step")
+        await switching
+        await asyncio.sleep(0.5)
+    assert len(steps) == len(set(steps))
+    steps.clear()
+    await asyncio.sleep(0.5)
+    assert not steps
+
+
 @pytest.mark.promise("MODE-2", "PRO-2")
 @pytest.mark.parametrize("verb", ["replace", "remove"])
 @pytest.mark.parametrize("when", ["at rest", "amid the switch"])

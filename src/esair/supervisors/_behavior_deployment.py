@@ -100,7 +100,10 @@ class Turns:
             RefusedError: It rests, or its mode is just coming.
         """
         member = self._crew.member(name)
-        if self.rests(name) or (member.gate is not None and not member.gate.done()):
+        coming = member.mail.state is BehaviorState.RESTING or (
+            member.gate is not None and not member.gate.done()
+        )
+        if coming or self.rests(name):
             raise RefusedError(f"{self._why(member)}: switch to its mode", name)
 
     async def left(self) -> None:
