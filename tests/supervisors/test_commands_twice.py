@@ -26,6 +26,21 @@ async def test_two_restarts_of_a_device_both_end(
             arm.resume()
 
 
+@pytest.mark.virtual_clock
+async def test_two_restarts_of_a_behavior_have_one_outcome_each() -> None:
+    """The second one learns that the first has begun it; nobody says it was removed."""
+
+    class Slow(esair.Behavior):
+        async def teardown(self) -> None:
+            await asyncio.sleep(0.1)
+
+    async with esair.Robot(behaviors=[Slow()]) as robot:
+        restarts = [robot.behaviors.restart("slow") for _ in range(2)]
+        told = await asyncio.gather(*restarts, return_exceptions=True)
+
+    assert [type(each) for each in told] == [type(None), esair.RefusedError]
+
+
 async def test_two_removals_of_a_behavior_have_one_outcome_each(
     fake_actuator: type[FakeActuator[float]],
 ) -> None:

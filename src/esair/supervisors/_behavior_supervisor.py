@@ -326,7 +326,7 @@ class BehaviorSupervisor(abc.Supervisor):
 
         Raises:
             UnknownNameError: No behavior has the name.
-            RefusedError: It rests in this mode.
+            RefusedError: It rests in this mode, or a newer command has come before.
             BehaviorFailedError: Its ``setup`` failed, which is a crash like another, or did
                 not end in time.
             BehaviorRemovedError: It was removed meanwhile.

@@ -25,6 +25,7 @@ from esair.connections import UNDECIDED, Halting, Registration, Stopped, run_end
 from esair.exceptions import (
     BehaviorRemovedError,
     EsairError,
+    RefusedError,
     describe,
     lookable,
 )
@@ -492,8 +493,10 @@ class Member:
     async def run_ended(self, grace: float) -> None:
         """Wait until the run has ended, and may begin anew."""
         await until_ended(living(self.mail.owner), grace)
-        if self.mail.state is not BehaviorState.RESTARTING:
+        if self.mail.is_leaving:
             raise BehaviorRemovedError(self.name)
+        if self.mail.state is not BehaviorState.RESTARTING:
+            raise RefusedError("a newer command has begun it, or ended it", self.name)
 
     def rest(self, why: str) -> None:
         """End the run: it waits for a mode in which it runs."""
