@@ -324,7 +324,7 @@ class ReactMistyped(Brake):
 
 
 class ReactReadingMistyped(Brake):
-    def react(self, sonar: esair.Reading[str]) -> float | None:  # type: ignore[override]
+    def react(self, sonar: esair.Reading[float]) -> float | None:  # type: ignore[override]
         return None
 
 

@@ -202,7 +202,7 @@ CASES = [
          "required argument: 'sonra'", "react_misses", "react"),
     Case(parts.ReactMistyped, "its parameter 'sonar' is a str, but the port 'sonar' "
          "reads float: annotate it as float", "react_mistyped", "react"),
-    Case(parts.ReactReadingMistyped, "but the port 'sonar' reads float",
+    Case(parts.ReactReadingMistyped, "but the port 'sonar' reads float: annotate it",
          "react_reading_mistyped", "react"),
     Case(parts.ReactMaybeMistyped, "its parameter 'sonar' is a bytes | None",
          "react_maybe_mistyped", "react"),
