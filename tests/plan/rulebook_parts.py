@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import AsyncIterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -123,6 +124,14 @@ class OpenAsks(Sonar):
 
 class ApplyAsks(Sonar):
     async def apply(self, gain: int) -> None: ...  # type: ignore[override]
+
+
+class Unbound(Sonar):
+    gain = esair.setting(1.0, max=math.nan)
+
+
+class NoneFits(Sonar):
+    mode = esair.setting("fast", choices=("slow", "slower"))
 
 
 class Hasty(Sonar):

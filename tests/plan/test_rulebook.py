@@ -132,6 +132,10 @@ CASES = [
          "argument: 'path'", "open_asks", "open"),
     Case(parts.ApplyAsks, "expected a method that takes its settings by name: missing "
          "a required argument: 'gain'", "apply_asks", "apply"),
+    Case(parts.Unbound, "its least or greatest value is not a number",
+         "unbound", "gain"),
+    Case(parts.NoneFits, "its default is not allowed: expected one of 'slow', 'slower', "
+         "not 'fast'", "none_fits", "mode"),
     Case(parts.Hasty, f"{SECONDS} 0.0", "hasty", "deadline"),
     Case(parts.Nobody, "its class has no identify to compare it with",
          "nobody", "identity"),

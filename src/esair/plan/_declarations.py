@@ -352,6 +352,9 @@ def _in_resource(
 ) -> Iterator[tuple[str, str]]:
     yield from _in_plain(resource, _OF_RESOURCE)
     yield from _in_limits(resource)
+    for name, described in settings_of(type(resource)).items():
+        if told := described.misdeclared():
+            yield name, told
     if resource.identity is not None and not resource.identifies:
         yield "identity", "its class has no identify to compare it with"
     if wrong_one := wrong_bus(type(resource), resource.bus):

@@ -72,6 +72,14 @@ class Setting:
         """The type that values of this setting have."""
         return type(self.default)
 
+    def misdeclared(self) -> str:
+        """Say what is wrong with its limits, or its default; nothing if it is sound."""
+        if any(bound != bound for bound in (self.min, self.max)):  # NaN
+            return "its least or greatest value is not a number"
+        wrong = "" if self.default is None else self._wrong(self.default)
+        shown = "; it is secret and not shown" if self.secret else f": {wrong}"
+        return f"its default is not allowed{shown}" if wrong else ""
+
     def check(self, component: str, value: object) -> object:
         """Return the value in the type of the setting."""
         wanted = self.type
