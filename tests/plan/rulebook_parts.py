@@ -337,6 +337,13 @@ class ReactReadingMistyped(Brake):
         return None
 
 
+class ReactReadings(Brake):
+    def react(  # type: ignore[override]
+        self, sonar: esair.Reading[float] | esair.Reading[int]
+    ) -> float | None:
+        return None
+
+
 class ReactMaybeMistyped(Brake):
     def react(self, sonar: bytes | None) -> float | None:  # type: ignore[override]
         return None

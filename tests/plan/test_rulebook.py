@@ -208,6 +208,8 @@ CASES = [
          "reads float: annotate it as float", "react_mistyped", "react"),
     Case(parts.ReactReadingMistyped, "but the port 'sonar' reads float: annotate it",
          "react_reading_mistyped", "react"),
+    Case(parts.ReactReadings, "but the port 'sonar' reads float: annotate it",
+         "react_readings", "react"),
     Case(parts.ReactMaybeMistyped, "its parameter 'sonar' is a bytes | None",
          "react_maybe_mistyped", "react"),
     Case(parts.RunAsks, "expected a method without parameters: missing a required "

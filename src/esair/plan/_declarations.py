@@ -165,9 +165,8 @@ def _mistyped(step: Callable[..., Any], given: Mapping[str, Need]) -> Iterator[s
 def _value_of(hint: Any) -> Any:
     """Return the type of the value in ``T | None``; a `Reading` is never given."""
     if typing.get_origin(hint) in {typing.Union, types.UnionType}:
-        given = (
-            p for p in typing.get_args(hint) if typing.get_origin(p) is not Reading
-        )
+        parts = typing.get_args(hint)
+        given = [p for p in parts if Reading not in {p, typing.get_origin(p)}] or parts
         return typing.Union[tuple(map(_value_of, given))]  # noqa: UP007 - known now only
     return Any if isinstance(hint, typing.TypeVar) else hint
 
