@@ -362,8 +362,8 @@ class SafeCommand:
     def is_refused(self) -> bool:
         """Whether it was told last, and not taken."""
         told = self._wire.told
-        command = HOLD if self._stays else self._wire.actuator.safe
-        return told.command is command and bool(told.error) and self._task is None
+        last = told.command is HOLD if self._stays else told.is_safe
+        return last and bool(told.error) and self._task is None
 
     def repeat(self) -> None:
         """Send it again: a motion has ended that may have undone it."""
@@ -520,7 +520,7 @@ class SafeCommand:
             told.base = told.place
         told.command = command
         told.at = device.time()
-        told.is_safe = command is actuator.safe
+        told.is_safe = not self._stays
         told.error = NOT_YET
         self._number, told.is_undone = calls.number + 1, False
         opening = calls.opening
