@@ -751,3 +751,16 @@ async def test_what_a_performed_reaction_kept_for_a_busy_driver_is_dropped(
         await asyncio.sleep(1.0)
         assert 3.0 not in wheels.commands
         assert wheels.commands[-1] == 0.0
+
+
+@pytest.mark.promise("ROB-4")
+async def test_a_halt_in_the_last_moment_of_the_robot_is_answered() -> None:
+    """Its end does not cut off the answer before that begins."""
+    robot = esair.Robot()
+
+    async def halts() -> tuple[Any, ...]:
+        return await robot.halt("late")
+
+    async with robot:
+        halting = asyncio.create_task(halts())
+    assert await asyncio.wait_for(halting, 1.0) == ()

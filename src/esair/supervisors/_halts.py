@@ -6,9 +6,10 @@ import asyncio
 import itertools
 import logging
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from esair.connections import (
+    ActuatorChannel,
     ActuatorConnection,
     Halt,
     Halting,
@@ -137,16 +138,19 @@ class Halts:
         self._forget()
         self._journal.publish(Kind.HALTED, by, text=reason)
         _log.warning("robot %s: halted by %s: %s", self._name, by, reason)
-        answers = spawn(loop, self._answer(halting), name=f"halt {self._name}")
-        self._answers.add(answers)
-        answers.add_done_callback(self._answers.discard)
-
-    async def _answer(self, halting: Halting) -> None:
         channels = tuple(self._channels.values())
-        try:
-            await asyncio.gather(*(channel.safe.settled() for channel in channels))
-        finally:
+        answers = spawn(loop, self._answer(channels), name=f"halt {self._name}")
+        self._answers.add(answers)
+
+        # A task that is cancelled before its first step runs none of its code.
+        def answered(task: asyncio.Task[None]) -> None:
+            self._answers.discard(task)
             halting.settle(channel.told() for channel in channels)
+
+        answers.add_done_callback(answered)
+
+    async def _answer(self, channels: Iterable[ActuatorChannel]) -> None:
+        await asyncio.gather(*(channel.safe.settled() for channel in channels))
 
     def _let_go(self) -> None:
         if self._registrations.halt is None:
