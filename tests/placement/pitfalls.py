@@ -128,6 +128,21 @@ class Looks(esair.Reaction):
         return 0.5
 
 
+class Decides(esair.Reaction):
+    """Says which one it is, after a while."""
+
+    sonar = esair.reads(float)
+    wheels = esair.writes(float)
+
+    def __init__(self, number: float, nap: float) -> None:
+        super().__init__()
+        self.number, self.nap = number, nap
+
+    def react(self, sonar: float) -> float:
+        time.sleep(self.nap)
+        return self.number
+
+
 class Sees(esair.Behavior):
     """Answers with a small number what is too large to come to it."""
 

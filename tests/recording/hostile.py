@@ -115,7 +115,7 @@ class Maker:
 
     def __init__(self, digest: str) -> None:
         self.replay = {
-            "format": "2",
+            "format": "3",
             "exact": "yes",
             "why": "",
             "clock": "real",

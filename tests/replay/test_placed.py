@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
+from typing import Any
 
 import pytest
+from tests.placement.pitfalls import Decides
 from tests.replay.soak import folder_of_robot, recorded, told_by
 from tests.replay.test_replay import verbs
+
+import esair
+from esair.journal import Kind
+from esair.loop import Player, TapeWriter, TurnLoop
+from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = [
     pytest.mark.real_clock,
@@ -63,6 +70,42 @@ async def test_who_lived_elsewhere_for_one_run_does_so_in_its_repetition(
     assert code == 0, said
     code, said = await asyncio.to_thread(verbs, tmp_path, "replay", "run.mcap")
     assert (code, said[:5]) == (0, "equal"), said
+
+
+@pytest.mark.promise("PLC-7", "REP-2")
+def test_one_that_is_replaced_is_told_from_the_new_one() -> None:
+    """It decides until that has decided; now the new one is the quicker of the two."""
+
+    def play(loop: TurnLoop, tape: list[Any], *naps: float) -> list[Any]:
+        sonar = FakeSensor("sonar", 1.0, type=float, rate=50.0)
+        wheels = FakeActuator("wheels", safe=0.0, command_timeout=1.0)
+        old, new = (Decides(*each) for each in zip((1.0, 2.0), naps, strict=True))
+        old.placement = new.placement = "process"
+        sent: list[Any] = []
+
+        async def main() -> None:
+            robot = esair.Robot(resources=[sonar, wheels], behaviors=[old])
+            robot.journal.listen(
+                lambda each: sent.append(each.value) if each.kind == Kind.SENT else None
+            )
+            if loop.player is None:
+                loop.keep(TapeWriter(tape.append))
+            else:
+                loop.play()
+            async with robot:
+                await asyncio.sleep(0.1)
+                await robot.behaviors.replace("decides", new)
+                await asyncio.sleep(0.2)
+            loop.keep(None)
+
+        with asyncio.Runner(loop_factory=lambda: loop) as runner:
+            runner.run(main())
+        return sent
+
+    tape: list[Any] = []
+    live = play(TurnLoop(), tape, 0.0, 0.1)
+    assert {1.0, 2.0} <= {*live}
+    assert play(TurnLoop(player=Player(tape)), tape, 0.1, 0.0) == live
 
 
 PUSHES = """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import contextlib
+import functools
 import itertools
 import os
 import pickle
@@ -22,7 +23,9 @@ from esair.journal import Kind
 from esair.loop import (
     LightTask,
     News,
+    Owner,
     Player,
+    Portal,
     Scheduler,
     TapeWriter,
     TurnLoop,
@@ -329,6 +332,42 @@ def test_a_thread_that_nobody_waits_for_any_more_holds_up_no_repetition(
 
     assert any(type(each) is tuple and each[0][0] == "thread" for each in tape)
     assert player.late == ""
+
+
+@pytest.mark.promise("REP-2")
+def test_two_threads_of_one_name_are_told_apart() -> None:
+    """One that is replaced works on beside the new one; now the other is quicker."""
+
+    def play(loop: TurnLoop, tape: list[Any], *naps: float) -> list[float]:
+        told: list[float] = []
+
+        async def main() -> None:
+            if loop.player is None:
+                loop.keep(TapeWriter(tape.append))
+            else:
+                loop.play()
+
+            def works(own: Portal, number: int) -> None:
+                time.sleep(naps[number])
+                own.call(tells, number)
+
+            async def tells(number: int) -> None:
+                told.append(number)
+
+            owner = Owner()
+            async with asyncio.TaskGroup() as tasks:
+                for number in range(2):
+                    own = Portal("drive", owner)
+                    tasks.create_task(own.run(functools.partial(works, own, number)))
+            loop.keep(None)
+
+        with asyncio.Runner(loop_factory=lambda: loop) as runner:
+            runner.run(main())
+        return told
+
+    tape: list[Any] = []
+    assert play(TurnLoop(), tape, 0.0, 0.2) == [0, 1]
+    assert play(TurnLoop(player=Player(tape)), tape, 0.2, 0.0) == [0, 1]
 
 
 def await_nothing(seconds: float) -> None:

@@ -282,7 +282,10 @@ class Player:
                     self._hopes -= 1
                     self._patience = IMPATIENT if self._hopes > 0 else 0.0
                     return None
-            return self._came[tag].popleft()
+            entry = self._came[tag].popleft()
+            if not self._came[tag]:
+                del self._came[tag]  # it may be over: each request may have a thread
+            return entry
 
 
 def _lost(tag: Tag) -> DeviceLostError:

@@ -503,6 +503,7 @@ class Portal:
         self._owner = owner
         self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
         self._door = Door.of(self.loop)
+        self._tag = self._door.source(name)
         self.closed: bool = False
         self._calls: set[asyncio.Task[Any]] = set()
         self._home = threading.current_thread()
@@ -533,7 +534,7 @@ class Portal:
             except BaseException as raised:  # contained, as in a task
                 error = raised
             try:
-                self._door.post(_given.number, ("thread", self.name), finished, error)
+                self._door.post(_given.number, self._tag, finished, error)
             except RuntimeError:  # the loop is closed: nobody waits any more
                 return
 
@@ -617,7 +618,7 @@ class Portal:
             task.add_done_callback(done)
 
         try:
-            self._door.post(counted, ("thread", self.name), begin)
+            self._door.post(counted, self._tag, begin)
         except RuntimeError:  # the loop is closed
             raise BehaviorRemovedError(self.name) from None
         try:

@@ -112,7 +112,7 @@ class Process(Exchange):
         loop = self.loop
         self._time, self._clock = clock_of(loop), clock_beside(loop)
         self._door = Door.of(loop)
-        self._tag = ("thread" if repeats else "driver", name)
+        self._tag = self._door.source(name) if repeats else ("driver", name)
         self._steps, self._caller = FirstSteps(loop), Caller(f"the process of {name}")
         self._lane = object()
         self._told_to_end: set[int] = set()

@@ -101,7 +101,7 @@ def _text(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-FORMAT = "2"  # that of the turns in a recording
+FORMAT = "3"  # that of the turns in a recording
 
 _log = logging.getLogger("esair")
 
