@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import os
 import subprocess
 import time
@@ -126,6 +127,15 @@ class Looks(esair.Reaction):
 
     def react(self, camera: Any) -> float:
         return 0.5
+
+
+class Murmurs(esair.Behavior):
+    """Writes what has no end of line, and logs."""
+
+    async def run(self) -> None:
+        os.write(1, b"loading")
+        logging.getLogger("rover").error("it is hot")
+        os.write(1, b"ready")
 
 
 class Decides(esair.Reaction):

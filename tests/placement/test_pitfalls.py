@@ -22,6 +22,7 @@ from tests.placement.pitfalls import (
     Drive,
     Eyes,
     Looks,
+    Murmurs,
     Plans,
     Receives,
     Sees,
@@ -314,3 +315,19 @@ async def test_an_error_that_is_too_large_to_cross_is_a_crash_all_the_same() -> 
         await until(lambda: state(robot, "complains") is BehaviorState.FAILED)
         error = robot.behaviors.query("complains").error
         assert str(error).startswith("ValueError: xxx")
+
+
+@pytest.mark.promise("PLC-6")
+async def test_a_record_of_the_log_is_one_behind_a_line_without_an_end(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Such as a prompt, or a bar of progress; and what has no end at all is heard."""
+    caplog.set_level("INFO")
+    async with esair.Robot(behaviors=[placed(Murmurs(), "process")]) as robot:
+        await until(lambda: state(robot, "murmurs") is BehaviorState.FINISHED)
+    said = [(each.levelname, each.getMessage()) for each in caplog.records]
+    assert said[:3] == [
+        ("INFO", "murmurs: loading"),
+        ("ERROR", "murmurs: it is hot"),
+        ("INFO", "murmurs: ready"),
+    ]

@@ -507,6 +507,8 @@ class Words:
 
     def close(self) -> None:
         self._heard()
+        if self._begun:
+            self._say(self._begun.decode(errors="replace"))
         if not self._loop.is_closed():
             self._loop.remove_reader(self._pipe)
         os.close(self._pipe)
@@ -538,10 +540,13 @@ class Words:
 
     def _say(self, line: str) -> None:
         level, name = logging.INFO, "esair"
-        is_record = line.startswith(RECORD)
+        printed, is_record, told = line.partition(RECORD)
+        if is_record and printed:  # such as a prompt, or a bar that tells of progress
+            self._say(printed)
         if is_record:
+            line = told
             with contextlib.suppress(Exception):  # whatever such a line leads to
-                record = json.loads(line[1:])
+                record = json.loads(told)
                 level, name = int(record["level"]), self._logger(record["name"])
                 line = str(record["text"])
         self._keep(line)
