@@ -138,6 +138,16 @@ class Murmurs(esair.Behavior):
         os.write(1, b"ready")
 
 
+class Wants(esair.Reaction):
+    """Wants what is no command when the sonar says 2."""
+
+    sonar = esair.reads(float)
+    wheels = esair.writes(float)
+
+    def react(self, sonar: float) -> Any:
+        return Path("/somewhere") if sonar == 2.0 else sonar
+
+
 class Decides(esair.Reaction):
     """Says which one it is, after a while."""
 

@@ -28,6 +28,7 @@ from tests.placement.pitfalls import (
     Sees,
     Threads,
     Twice,
+    Wants,
 )
 
 import esair
@@ -91,6 +92,25 @@ async def test_a_second_loop_over_a_port_begins_as_it_does_in_a_task() -> None:
                 await asyncio.sleep(0.05)
         commands.append(wheels.commands)
     assert commands[0] == commands[1]
+
+
+@pytest.mark.promise("PLC-1", "PRO-2")
+@pytest.mark.parametrize("place", IN_PROCESS)
+async def test_what_is_no_command_blinds_and_crashes_nobody(place: str) -> None:
+    """Be it plain data or not: it is blind until its next good decision."""
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0)
+    sonar = FakeSensor("sonar", 0.5, type=float, rate=20.0)
+    async with esair.Robot(
+        resources=[wheels, sonar], behaviors=[placed(Wants(), place)]
+    ) as robot:
+        await wheels.until(0.5, timeout=1.0)
+        sonar.feed(2.0)
+        await until(lambda: state(robot, "wants") is BehaviorState.PARKED)
+        assert "its command is bad" in robot.behaviors.query("wants").detail
+        assert wheels.commands[-1] == 0.0
+        sonar.feed(0.7)
+        await wheels.until(0.7, timeout=1.0)
+        assert robot.behaviors.query("wants").restarts == 0
 
 
 @pytest.mark.real_clock

@@ -445,7 +445,12 @@ class PlacedRunner(ReactionRunner):
         self._late_at.cancel()
         if isinstance(error, ProcessDiedError):
             return  # told by the death itself
-        if error is not None:
+        if isinstance(error, BadValueError) and error.field == "answer":
+            self.outputs.rejected += 1  # it is no plain data, so it is no command
+            self.flawed(error)
+            if self._again:
+                self.job.soon()
+        elif error is not None:
             self.crash(error)
         elif self.time() - self._began > self.patience:
             self.outputs.rejected += 1
