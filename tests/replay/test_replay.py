@@ -167,6 +167,45 @@ class Tells(esair.Reaction):
         return self.now_ms + self.elapsed_ms / 1024
 
 
+class Stumbles(esair.Behavior):
+    """Fails at first; then it drives on."""
+
+    echo = esair.reads(float, max_age=0.5)
+    wheel = esair.writes(float)
+    restart = esair.Restart(delay=0.01)
+    speed = 0.5
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.has_failed = False
+
+    async def run(self) -> None:
+        await self.echo.read()
+        if not self.has_failed:
+            self.has_failed = True
+            raise RuntimeError("a stone")
+        await self.wheel.write(type(self).speed)
+
+
+@pytest.mark.promise("REP-2")
+def test_who_has_begun_again_had_its_readings_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However often it has registered its sensors."""
+
+    def make(record: esair.Recording | None = None) -> esair.Robot:
+        parts = [Echo(), Wheel()]
+        return esair.Robot(resources=parts, behaviors=[Stumbles()], record=record)
+
+    path = tmp_path / "run.mcap"
+    esair.run(make(esair.Recording(path, min_free=0)), duration=0.3)
+    monkeypatch.setattr(Stumbles, "speed", 0.6)
+
+    found = Replay(path).run(make()).divergence
+    assert found is not None
+    assert [seen.sensor for seen in found.readings] == ["echo"]
+
+
 @attrs.frozen
 class Look(esair.Request[float]):
     """What a thread is asked for."""

@@ -83,7 +83,7 @@ class Comparison:
         self._kept = kept
         self._diverged = diverged
         self._newest: dict[str, Seen] = {}
-        self._reads: dict[str, list[str]] = {}
+        self._reads: dict[str, dict[str, None]] = {}
         self.equal: int = 0
         """How many events were equal."""
         self.divergence: Divergence | None = None
@@ -158,7 +158,7 @@ class Comparison:
                 event.component, event.value, event.time
             )
         elif event.kind == Kind.REGISTERED:
-            self._reads.setdefault(event.component, []).append(event.peer)
+            self._reads.setdefault(event.component, {})[event.peer] = None
 
     def _tell(self, expected: Recorded | None, actual: Recorded | None) -> None:
         self.is_over = True
