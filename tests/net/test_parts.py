@@ -12,6 +12,7 @@ from tests.net.parts import STILL, Dock, Docked, Hand, Pair, Twist
 import esair
 from esair.drivers.peer import PeerActuator, PeerSensor
 from esair.peers import Share, Sharing, peer_behavior
+from esair.testing import FakeActuator
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -72,6 +73,17 @@ async def test_a_remote_sensor_with_two_names_is_live_under_both() -> None:
         pair.sonar.feed(50.0)
         await asyncio.sleep(0.05)
         assert await hand.sonar.read() == 50.0
+
+
+@pytest.mark.promise("AC-2", "NET-2")
+async def test_a_remote_actuator_has_one_name() -> None:
+    """Two would not know of each other's holds, and the end of one stop what moves."""
+    pair = Pair()
+    second = PeerActuator(name="second", remote="wheels", bus=pair.to_base, type=Twist)
+    with pytest.raises(ExceptionGroup) as told:
+        async with pair.rover(resources=[second]):
+            pass
+    assert told.group_contains(esair.ConfigError, match="'wheels' there belongs to")
 
 
 @pytest.mark.promise("NET-2")
@@ -217,7 +229,7 @@ class Undock(esair.Request[Docked]):
 async def test_what_its_owner_cannot_read_is_answered_at_once() -> None:
     """Nothing was done: a request is refused, a write at fault, each with the class."""
     pair, hand, loop = Pair(), Hand(), asyncio.get_running_loop()
-    odd = PeerActuator(name="odd", remote="wheels", bus=pair.to_base)
+    odd = PeerActuator(name="odd", remote="arm", bus=pair.to_base)
     pair.to_base.declare(Undock)
 
     class Writes(esair.Behavior):
@@ -228,7 +240,10 @@ async def test_what_its_owner_cannot_read_is_answered_at_once() -> None:
 
     writes = Writes(name="writes")
     far = peer_behavior("undocking", pair.to_base, [Undock], remote="docking")
-    async with pair.base(), pair.rover(hand, writes, far, resources=[odd]):
+    arm = FakeActuator("arm", safe=STILL)
+    pair.shares.append(Share("arm", "write"))
+    base = pair.base(resources=[arm])
+    async with base, pair.rover(hand, writes, far, resources=[odd]):
         await asyncio.sleep(0.4)
         began = loop.time()
         with pytest.raises(esair.RefusedError, match="Undock"):

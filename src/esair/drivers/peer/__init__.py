@@ -179,7 +179,8 @@ class PeerActuator(Actuator[Any]):
     There this robot is one of its writers, with the priority and the rights of the share.
     What makes it safe here lets it go there: then its owner decides, and makes it safe
     when nobody else moves it. Its owner tells what it is then told: guards here let less
-    pass than was asked for, and a slew begins there.
+    pass than was asked for, and a slew begins there. It has one name here: two would not
+    know of each other's holds.
 
     Args:
         type: The type of its commands, also as ``"module:Class"``; plain data unless given.
@@ -203,6 +204,7 @@ class PeerActuator(Actuator[Any]):
         super().__init__(**settings)
         self._type = _type_of(self, type)
         self.remote: str = remote or self.name
+        self.claim: str = f"the actuator {self.remote!r} there"
 
     @property
     def value_type(self) -> Any:
