@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from typing import Any
 
 import attrs
@@ -227,7 +228,7 @@ class Undock(esair.Request[Docked]):
 
 @pytest.mark.promise("BS-10", "NET-2")
 async def test_what_its_owner_cannot_read_is_answered_at_once() -> None:
-    """Nothing was done: a request is refused, a write at fault, each with the class."""
+    """Nothing was done: a request and a write are refused, each with the class."""
     pair, hand, loop = Pair(), Hand(), asyncio.get_running_loop()
     odd = PeerActuator(name="odd", remote="arm", bus=pair.to_base)
     pair.to_base.declare(Undock)
@@ -248,9 +249,40 @@ async def test_what_its_owner_cannot_read_is_answered_at_once() -> None:
         began = loop.time()
         with pytest.raises(esair.RefusedError, match="Undock"):
             await hand.ask("undocking", Undock(1), timeout=None)
-        with pytest.raises(esair.DeviceFaultError, match=r"says: .*Undock"):
-            await writes.odd.write(Undock(1))  # type: ignore[arg-type]
+        refused = await writes.odd.write(Undock(1))  # type: ignore[arg-type]
+        assert isinstance(refused, esair.Refused)
+        assert "Undock" in refused.rule
         assert loop.time() - began < 0.1
+
+
+@pytest.mark.promise("AC-1", "NET-2")
+@pytest.mark.parametrize(
+    "bad",
+    [Twist(5.0, 0.0), Undock(1), object(), "x" * (1 << 20)],
+    ids=["beyond limits", "unknown", "no data", "huge"],
+)
+async def test_a_bad_command_is_the_fault_of_its_writer_alone(bad: object) -> None:
+    """However often: the actuator is there for the others, and moves for them."""
+    pair, arm = Pair(), FakeActuator("arm", safe=STILL, limits={"linear": (-1.0, 1.0)})
+    pair.shares.append(Share("arm", "write"))
+    pair.to_base.declare(Undock)
+    far = PeerActuator(name="arm", bus=pair.to_base)
+
+    class Rash(esair.Behavior):
+        arm = esair.writes(Any)
+
+        async def run(self) -> None:
+            await asyncio.get_running_loop().create_future()
+
+    rash = Rash()
+    async with pair.base(resources=[arm]), pair.rover(rash, resources=[far]) as rover:
+        await asyncio.sleep(0.4)
+        for _ in range(10):
+            with contextlib.suppress(esair.BadValueError):
+                assert not await rash.arm.write(bad)  # type: ignore[arg-type]
+        status = rover.resources.query("arm")
+        assert (status.state, status.faults) == (esair.ResourceState.READY, 0)
+        assert await rash.arm.write(Twist(0.3, 0.0))  # type: ignore[arg-type]
 
 
 class Asks(esair.Behavior):

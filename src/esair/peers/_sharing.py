@@ -24,6 +24,7 @@ from esair.exceptions import (
     DeviceLostError,
     EsairError,
     NotRegisteredError,
+    NoTurnError,
     OutcomeUnknownError,
     RefusedError,
     ResourceRemovedError,
@@ -159,7 +160,7 @@ class Sharing(Behavior):
             if what == "ask":
                 self._answer(parts[0], "declined", _TOO_MUCH)
             elif what in {"write", "release"}:
-                self._refuse(parts[0], _TOO_MUCH)
+                self.bus.refuse(parts[0], _TOO_MUCH)
 
     async def run(self) -> None:
         """Do what the peer asks for."""
@@ -211,9 +212,6 @@ class Sharing(Behavior):
         except BadValueError as error:
             self.bus.say("answer", number, "failed", describe(error))
 
-    def _refuse(self, number: int, rule: str) -> None:
-        self._answer(number, "refused", (self.name, 0, rule, 0.0, None))
-
     def _not_shared(self, number: int, name: str) -> None:
         self._answer(number, "lost", f"{name!r} is not shared with {self.name!r}")
 
@@ -238,6 +236,8 @@ class Sharing(Behavior):
                 written = await port.write(rest[0], expires=expires)
             except _ABSENT as error:
                 self._answer(number, "lost", describe(error))
+            except (BadValueError, NoTurnError) as error:  # the device was not asked
+                self.bus.refuse(number, describe(error))
             except EsairError as error:
                 self._answer(number, "failed", describe(error))
             else:

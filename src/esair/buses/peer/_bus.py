@@ -378,9 +378,15 @@ class PeerBus(Bus):
 
     def answer_unread(self, what: str, body: bytes) -> None:
         """Tell that nothing was done of what could not be read, and why."""
-        number, how = number_of(body), {"ask": "declined", "write": "failed"}.get(what)
-        if number is not None and how is not None:
-            self.say("answer", number, how, str(self.stats.last_error))
+        number, told = number_of(body), str(self.stats.last_error)
+        if number is not None and what == "ask":
+            self.say("answer", number, "declined", told)
+        elif number is not None and what == "write":
+            self.refuse(number, told)
+
+    def refuse(self, number: int, rule: str) -> None:
+        """Answer a write, or a release, that is not tried: for whoever made it alone."""
+        self.say("answer", number, "refused", (self.name, 0, rule, 0.0, None))
 
     def _hand_on(self, what: str, sent: float, parts: tuple[Any, ...]) -> None:
         if what in {"answer", "progress"}:

@@ -25,9 +25,15 @@ import attrs
 
 from esair.abc import Component
 from esair.buses import Inbox
-from esair.buses.peer import PeerBus
+from esair.buses.peer import Head, PeerBus, packed
+from esair.codec import CodecError
 from esair.drivers.object import imported
-from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.exceptions import (
+    BadValueError,
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+)
 from esair.flaws import unsound
 from esair.loop import clock_of
 from esair.messages import Refused
@@ -222,6 +228,17 @@ class PeerActuator(Actuator[Any]):
         """Hear no more of it."""
         self.bus.when_gone.pop(self._hear_gone, None)
 
+    def check(self, command: Any) -> None:
+        """Refuse what cannot be sent: no plain data, or too much.
+
+        Raises:
+            BadValueError: It names what, and why.
+        """
+        try:
+            packed(Head(0, 0, 0, 0, 0.0), (0, self.remote, command), self.bus.kinds)
+        except CodecError as error:
+            raise BadValueError(self.name, "command", str(error)) from None
+
     def _hear_gone(self, name: str, why: str) -> None:
         if name == self.remote:
             told = f"{self.bus.name!r} says: {why}"
@@ -233,7 +250,7 @@ class PeerActuator(Actuator[Any]):
         Returns:
             What was applied there, or is safe there; or a refusal with the holder there.
             A refusal of the peer where nothing was heard for longer than the command
-            time-out.
+            time-out, or where the command is beyond what its owner lets pass.
 
         Raises:
             DeviceLostError: The peer is lost, or does not share it.
