@@ -52,6 +52,38 @@ async def test_a_slew_begins_where_the_remote_part_was_let_go(monkeypatch) -> No
             assert pair.wheels.commands[-1] == STILL
 
 
+@pytest.mark.promise("PRO-11", "NET-2")
+async def test_what_a_remote_actuator_that_was_let_go_applies_is_not_known() -> None:
+    """Somebody else may move it there; its owner knows, and can share that."""
+    pair = Pair()
+    pair.shares.append(Share("wheels.applied", "read"))
+    there = PeerSensor(name="there", remote="wheels.applied", bus=pair.to_base)
+
+    class Looks(Hand):
+        here = esair.reads(Twist, name="far_wheels.applied")
+        there = esair.reads(Twist, name="there")
+
+    class Mate(esair.Behavior):
+        wheels = esair.writes(Twist)
+
+        async def run(self) -> None:
+            await asyncio.get_running_loop().create_future()
+
+    looks, mate = Looks(name="looks"), Mate()
+    async with pair.base(mate), pair.rover(looks, resources=[there]):
+        await asyncio.sleep(0.4)
+        for speed in (0.3, 0.4):
+            assert await mate.wheels.write(Twist(0.8, 0.0))
+            await asyncio.sleep(0.1)
+            with pytest.raises(esair.StaleReadingError):
+                looks.here.newest  # noqa: B018
+            assert await looks.there.read() == Twist(0.8, 0.0)
+            await asyncio.sleep(0.3)
+            assert await looks.wheels.write(Twist(speed, 0.0))
+            assert looks.here.newest.value == Twist(speed, 0.0)
+            await asyncio.sleep(0.3)
+
+
 @pytest.mark.promise("NET-2")
 async def test_a_remote_sensor_with_two_names_is_live_under_both() -> None:
     """Each is opened, heard and lost by itself; it is sent as often as one wants it."""

@@ -242,6 +242,9 @@ class Wire:
             self.told.base = answer
         if self.applied is None:
             return
+        if self.told.command is HOLD and getattr(self.actuator, "lets_go", False):
+            self.unknown()  # whoever else it is left to moves it as he likes
+            return
         if answer is not None:
             command = None if self.unsound(command, answer) else answer
         elif command is HOLD and self.applied.newest is not None:  # else nobody knows
