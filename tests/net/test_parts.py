@@ -11,7 +11,7 @@ import pytest
 from tests.net.parts import STILL, Dock, Docked, Hand, Pair, Twist
 
 import esair
-from esair.drivers.peer import PeerActuator, PeerSensor
+from esair.drivers.peer import Peer, PeerActuator, PeerSensor
 from esair.peers import Share, Sharing, peer_behavior
 from esair.testing import FakeActuator
 
@@ -191,6 +191,21 @@ class Slowly(esair.Reaction):
 
     def react(self, sonar: float, wheels: Twist) -> Twist:
         return Twist(wheels.linear * min(1.0, sonar), wheels.angular)
+
+
+@pytest.mark.promise("RS-8", "NET-1")
+@pytest.mark.parametrize("what", ["shares", "asks"])
+async def test_a_bus_to_a_peer_without_a_device_is_a_mistake(what: str) -> None:
+    """Nobody would open it: it would share nothing, and refuse all, without a word."""
+    pair = Pair()
+    part: Any = Sharing(bus=pair.to_rover, shares=[Share("sonar", "read")])
+    if what == "asks":
+        part = peer_behavior("docking", pair.to_rover, [Dock])
+    async with esair.Robot(name="base", resources=[pair.sonar]) as robot:
+        with pytest.raises(esair.ConfigError, match=r"expected Peer\(name='rover'"):
+            await robot.behaviors.add(part)
+        await robot.resources.add(Peer(name="rover", bus=pair.to_rover))
+        await robot.behaviors.add(part)
 
 
 @pytest.mark.promise("PRO-6", "PRO-7", "NET-2")

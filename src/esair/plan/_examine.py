@@ -293,6 +293,15 @@ def odd_buses(plan: Plan) -> Iterator[Finding]:
             yield warning("port", bus, "port", told, advice, of=name)
 
 
+def unopened(plan: Plan, action: Any) -> Iterator[Finding]:
+    """Find what stands for another robot on a bus that no device is on: it stays closed."""
+    bus = action.bus
+    if not any(each.bus is bus for each in plan.resource_of.values()):
+        told = f"no device is on {bus.name!r}, so nobody opens it"
+        advice = f"expected Peer(name={bus.name!r}, bus=...) of esair.drivers.peer"
+        yield mistake("unopened", action, "bus", told, advice)
+
+
 def overloaded(plan: Plan) -> Iterator[Finding]:
     """Find buses of which their devices ask more than they have time for."""
     for name, bus in _buses(plan):
@@ -461,6 +470,8 @@ def _about_action(
         return
     if isinstance(action, Reaction):
         yield from mistyped(action)
+    if hasattr(action, "asked_alone"):
+        yield from unopened(plan, action)
     for attribute, need in action.needs.items():
         missing = unmet(plan, action, attribute, need)
         if missing is not None:
