@@ -15,6 +15,7 @@ from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
+import attrs
 import pytest
 from tests.ros.parts import Beating, Citizen, Count, Done, Light, Motion, twist
 
@@ -270,6 +271,62 @@ async def test_services_and_actions_each_way() -> None:
         with pytest.raises(esair.BehaviorUnavailableError):
             await hand.ask("far_count", Count(90), timeout=0.5)
         await judge.until("cancelled", "/far_count")
+
+
+@attrs.frozen
+class Basic:
+    """``test_msgs/srv/BasicTypes``."""
+
+    uint8_value: int
+
+
+@attrs.frozen
+class Ask(esair.Request[Basic]):
+    """``test_msgs/srv/BasicTypes``."""
+
+    uint8_value: int
+
+
+class Counts(Hand):
+    """Answers with the square."""
+
+    @esair.answers
+    async def square(self, request: Ask) -> Basic:
+        return Basic(request.uint8_value**2)
+
+
+@pytest.mark.promise("ROS-1")
+async def test_what_does_not_fit_a_type_of_ros_is_not_sent() -> None:
+    """No other number is sent for it, and whoever asked has an answer; all else goes on."""
+    made, counts, kind = citizen(), Counts(), "test_msgs/srv/BasicTypes"
+    form, answer = ros.form_of(kind, Ask), ros.form_of(kind, Basic)
+    number, rows = (
+        FakeSensor("number", 300),
+        FakeSensor("rows", {"byte_values": b"\5\6\7"}),
+    )
+    made.network.links += [
+        ros.Link("/square", kind, "service", "in", "counts", form, answer),
+        Citizen.out("/number", "std_msgs/msg/UInt8", "number"),
+        Citizen.out("/rows", "test_msgs/msg/Arrays", "rows"),
+    ]
+    shares = [Share("counts", "ask"), Share("number", "read"), Share("rows", "read")]
+    made.behaviors = [Sharing(bus=made.bus, shares=shares)]
+    async with (
+        judging() as judge,
+        made.robot(counts, resources=[number, rows]) as robot,
+    ):
+        await there(robot)
+        judge.do("hear", "/rows", "test_msgs/msg/Arrays")
+        heard = (await judge.until("heard", "/rows"))[2]["byte_values"]
+        assert heard == {"#": "BQYH"}  # as the judge tells bytes
+        for asked, told in ((3, 9), (17, 0), (4, 16)):
+            judge.do("call", "/square", kind, {"uint8_value": asked})
+            answered = await judge.until("answer", "/square")
+            assert answered[2]["uint8_value"] == told
+        judge.do("hear", "/number", "std_msgs/msg/UInt8")
+        number.feed(7)
+        assert (await judge.until("heard", "/number"))[2] == {"data": 7}
+        assert made.bus.stats.lost == 0
 
 
 @pytest.mark.promise("ROS-2")

@@ -271,7 +271,12 @@ def fill(message: Any, value: Any) -> Any:
             if not isinstance(part, bytes):
                 part = map(float if now.typecode in "fd" else int, part)
             setattr(message, name, array.array(now.typecode, part))
-        elif hasattr(now, "tolist") or isinstance(now, (bytes, list, tuple)):
+        elif hasattr(now, "tolist"):
+            now[:] = list(part)
+        elif "octet" in kinds[name] and isinstance(now, (list, tuple)):
+            part = [bytes([it]) if isinstance(it, int) else it for it in part]
+            setattr(message, name, part)
+        elif isinstance(now, (bytes, list, tuple)):
             setattr(message, name, part)
         else:
             setattr(message, name, type(now)(part))
@@ -350,7 +355,10 @@ class Graph:
 
     def _filled(self, response: Any, how: str, value: Any) -> Any:
         if how == "answered":
-            return fill(response, value)
+            try:
+                return fill(response, value)
+            except Exception as error:  # one that does not fit ends this call alone
+                how, value, response = "failed", error, type(response)()
         kinds = response.get_fields_and_field_types()
         told = {"success": False, "message": str(value)}
         self.node.get_logger().warning(f"{how}: {value}")
@@ -526,6 +534,7 @@ def main() -> None:
         os.write(2, why.encode() + b"\n")
         os._exit(1)  # a lost peer, that begins anew
 
+    os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"  # 300 in an uint8 would be sent as 44
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.signals import SignalHandlerOptions
