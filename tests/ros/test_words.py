@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import socket
 from types import SimpleNamespace
 from typing import Any
 
@@ -36,3 +37,20 @@ async def test_words_are_escaped_and_a_long_line_ends_nothing(
 
     told = [record.getMessage() for record in caplog.records]
     assert told == ["ros: \\x1b[31mred", "ros: last"]
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("BS-10", "ROS-1")
+async def test_what_comes_once_has_room_beside_large_readings() -> None:
+    """Who asked would wait for ever for an answer that was dropped for an image."""
+    mine, its = socket.socketpair()
+    reader, writer = await asyncio.open_connection(sock=mine)
+    nobody: Any = None
+    living = Living(nobody, nobody, reader, writer, writer)
+    head = [0] * 5
+    with its:
+        assert living.send(["publish", *head, "/image", 0.0, "x" * (3 << 20)])
+        assert not living.send(["publish", *head, "/image", 0.0, ""])
+        assert living.send(["answer", *head, 1, "answered", None])
+        writer.transport.abort()
+        await asyncio.sleep(0)

@@ -29,7 +29,8 @@ _log = logging.getLogger("esair")
 
 _LARGEST: Final = 1 << 22  # how many bytes a frame of the process may have
 _BEHIND: Final = 1 << 13  # how many of its bytes are on the way: they are its past
-_UNSENT: Final = 1 << 20  # how many bytes may wait for it; what comes then is dropped
+_UNSENT: Final = 1 << 20  # how many bytes may wait for it, until what may be is dropped
+_NEWER: Final = frozenset({"beat", "publish", "progress"})  # of these a newer one comes
 _PACE, _BURST = 0.0005, 16  # a frame is taken so often, in seconds; so many at once
 _SILENT: Final = 2.0  # a process that has spoken is stuck after so many seconds without
 _STARTING: Final = 30.0  # how long it may take until it speaks, in seconds
@@ -367,8 +368,12 @@ class Living:
         self._hearing = spawn(asyncio.get_running_loop(), log(), name="what ros prints")
 
     def send(self, frame: list[Any]) -> bool:
-        """Hand over a frame, without a wait; tells whether there was room."""
-        if self.writer.transport.get_write_buffer_size() > _UNSENT:
+        """Hand over a frame, without a wait; tells whether there was room.
+
+        There is for asks and answers: they come once, and no more than may be under way.
+        """
+        waits = self.writer.transport.get_write_buffer_size()
+        if waits > _UNSENT and frame[0] in _NEWER:
             return False
         self.writer.write(_child.pack(frame))
         return True
