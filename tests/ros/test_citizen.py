@@ -7,10 +7,14 @@ import logging
 import sys
 from typing import Any
 
+import attrs
 import pytest
-from tests.ros.parts import Citizen, Count, Done, Light, Motion, twist
+from tests.ros.parts import TWIST, Citizen, Count, Done, Light, Motion, twist
 
 import esair
+from esair.buses.ros import Link, form_of
+from esair.peers import Share, Sharing
+from esair.testing import FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -23,6 +27,14 @@ class Hand(esair.Behavior):
 
     async def run(self) -> None:
         await asyncio.get_running_loop().create_future()
+
+
+@attrs.frozen
+class Pose:
+    """It has a class where ROS has a number."""
+
+    linear: Motion
+    angular: float
 
 
 async def publish(citizen: Citizen, seconds: float, topic: str = "/cmd_vel") -> None:
@@ -118,6 +130,27 @@ async def test_a_topic_is_a_sensor_and_a_sensor_a_topic() -> None:
     assert ("/sonar", {"data": 0.25}) in citizen.fake.published
 
 
+@pytest.mark.promise("ROS-1", "ROB-3")
+async def test_what_cannot_be_published_ends_nothing_else(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """One line says what it is; the rest of the robot is in ROS as before."""
+    citizen = Citizen()
+    pose = FakeSensor("pose", Pose(Motion(1.0, 2.0), 0.0))
+    form = form_of(TWIST, Pose)
+    citizen.network.links.append(Link("/pose", TWIST, "topic", "out", "pose", form))
+    sharing: Any = next(each for each in citizen.behaviors if each.name == "ros")
+    shares = [*sharing.shares.values(), Share("pose", "read")]
+    citizen.behaviors.remove(sharing)
+    citizen.behaviors.append(Sharing(bus=citizen.bus, shares=shares))
+    async with citizen.running(resources=[pose]) as robot:
+        citizen.sonar.feed(0.25)
+        await asyncio.sleep(1.0)
+        assert robot.behaviors.query("ros").restarts == 0
+    assert ("/sonar", {"data": 0.25}) in citizen.fake.published
+    assert sum("not 'Motion'" in each.getMessage() for each in caplog.records) == 1
+
+
 @pytest.mark.promise("ROS-1")
 async def test_ros_asks_a_behavior() -> None:
     """A service and an action are asks: answered, refused, with progress, cancelled."""
@@ -141,7 +174,7 @@ async def test_ros_asks_a_behavior() -> None:
 
         citizen.lamp.go.set()
         how, told = await ros.call("/count", {"order": 3})
-        assert (how, told) == ("answered", {"sequence": (0, 1, 1, 2)})
+        assert (how, told) == ("answered", {"sequence": [0, 1, 1, 2]})
         assert citizen.lamp.seen == [Light(True), Light(False), Count(3), Count(3)]
 
 

@@ -121,14 +121,12 @@ class Ros:
             if self._far is None:
                 return
             try:
-                frames = list(self._told(what, data, bus))
-            except (CodecError, ValueError) as error:
+                for frame in self._told(what, data, bus):
+                    bus.stats.dropped += not self._far.send(frame)
+            except (CodecError, ValueError, TypeError) as error:  # it is no JSON either
                 self._complain(bus, f"{what}: {describe(error)}")
                 if what == "ask":
                     raise BadValueError(bus.name, what, str(error)) from None
-                return
-            for frame in frames:
-                bus.stats.dropped += not self._far.send(frame)
 
         return send
 
