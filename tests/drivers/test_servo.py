@@ -41,6 +41,8 @@ from esair.drivers.servo import (
 )
 from esair.drivers.servo._bus import Packets
 from esair.drivers.servo.fake import (
+    GREATEST,
+    LEAST,
     PING,
     READ,
     SYNC_READ,
@@ -332,13 +334,13 @@ async def test_a_table_is_read_and_written(bus: ServoBus, fakes: FakeServos) -> 
     """Entries of one, two and four bytes; below zero too."""
     await bus.open()
 
-    for address, size, value in ((64, 1, 1), (100, 2, 885), (116, 4, -5)):
+    for address, size, value in ((64, 1, 1), (100, 2, 885), (104, 4, -5)):
         await bus.write(1, address, size, value)
         found = await bus.read(1, address, size)
         assert found == value & (1 << 8 * size) - 1
 
-    assert fakes.servos[1].get(GOAL_POSITION) == -5
-    assert fakes.servos[2].get(GOAL_POSITION) == CENTER
+    assert fakes.servos[1].get(GOAL_VELOCITY) == -5
+    assert fakes.servos[2].get(GOAL_VELOCITY) == 0
     assert len(fakes.written) == 6
 
 
@@ -473,6 +475,55 @@ async def test_hold_and_release(bus: ServoBus, fakes: FakeServos) -> None:
 
     assert fakes.servos[1].torque
     assert fakes.servos[1].get(GOAL_POSITION) == 2500
+
+
+@pytest.mark.virtual_clock
+async def test_it_holds_at_the_end_of_its_way(bus: ServoBus, fakes: FakeServos) -> None:
+    """It sags by some steps beyond its least goal, which it would not take."""
+    servo = Servo(safe=HOLD, bus=bus)
+    fakes.servos[1].put(LEAST, 100)
+    await bus.open()
+    await servo.open()
+    await servo.write(Goal(to_angle(100)))
+    fakes.servos[1].put(PRESENT_POSITION, 97)
+
+    await servo.write(HOLD)
+
+    assert fakes.servos[1].get(GOAL_POSITION) == 100
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.parametrize(("turned", "held"), [(-3, 4093), (4100, 4), (9000, 808)])
+async def test_it_holds_where_it_was_turned_to_by_hand(
+    bus: ServoBus, fakes: FakeServos, turned: int, held: int
+) -> None:
+    """Without torque it counts the turns, which it forgets as the torque comes."""
+    servo = Servo(safe=HOLD, bus=bus)
+    fakes.servos[1].put(PRESENT_POSITION, turned)
+    await bus.open()
+    await servo.open()
+
+    await servo.write(HOLD)
+
+    assert fakes.servos[1].torque
+    assert fakes.servos[1].get(PRESENT_POSITION) == held
+
+
+@pytest.mark.virtual_clock
+async def test_a_goal_beyond_its_own_limits_is_cut_off(
+    bus: ServoBus, fakes: FakeServos
+) -> None:
+    """It would stay where it is without a word; what it was told instead is returned."""
+    servo = Servo(safe=RELEASE, bus=bus)
+    fakes.servos[1].put(GREATEST, 3000)
+    await bus.open()
+    await servo.open()
+
+    assert await servo.write(Goal(0.5)) is None
+    assert await servo.write(Goal(2.5)) == Goal(to_angle(3000))
+    await servo.bus.read(1, PRESENT_POSITION, 4)
+
+    assert fakes.servos[1].get(PRESENT_POSITION) == 3000
 
 
 @pytest.mark.virtual_clock

@@ -265,6 +265,8 @@ class Servo(Torqued[Goal]):
         super().__init__(**settings)
         self.safe = safe
         self._told_speed: int | None = None
+        self._takes = -math.inf, math.inf
+        """The least and the greatest step that the servo takes for a goal."""
         turns = self.bus.table.goal.has_sign_bit  # it may go on for some of them
         most = to_angle(0x7FFF) if turns else math.pi
         low, high = narrowed(self.name, "limits", limits, (-most, most), by="a servo")
@@ -281,6 +283,9 @@ class Servo(Torqued[Goal]):
         """Make sure that the servo answers, and is in its mode; nothing moves by that."""
         self._told_speed = None
         await super().open()
+        if (entry := self.bus.table.limits) is not None:
+            both = await self.bus.read(self.id, entry.address, entry.size)
+            self._takes = both >> 32, both & 0xFFFF_FFFF
 
     def _is_as_told(self, seen: Snapshot) -> bool:
         return super()._is_as_told(seen) and self._told_speed in {None, seen.speed}
@@ -296,8 +301,11 @@ class Servo(Torqued[Goal]):
         await self.bus.write(self.id, table.speed.address, table.speed.size, units)
         self._told_speed = units
 
-    async def write(self, command: Goal) -> None:
+    async def write(self, command: Goal) -> Goal | None:
         """Send the goal; the servo rounds it to a step, which is 0.0015 rad.
+
+        One beyond the limits that it has itself, which it would not obey, is cut off
+        there, and returned so.
 
         Raises:
             DeviceFaultError: It does not answer, or has shut down.
@@ -307,12 +315,19 @@ class Servo(Torqued[Goal]):
         if command.mode is Mode.RELEASE:
             self._torque = False
             await self.bus.write(self.id, table.torque, 1, 0)
-            return
+            return None
         await self._check_set_up()
-        if command.mode is Mode.HOLD:
-            steps = (await self.bus.snapshot(self.id)).position
-        else:
-            steps = to_steps(command.angle)
+        holds = command.mode is Mode.HOLD
+        wanted = to_steps(command.angle)
+        if holds:
+            wanted = (await self.bus.snapshot(self.id)).position
+        least, most = self._takes
+        steps = int(min(max(least, wanted), most))
+        if holds and table.limits is not None and not self._torque:
+            steps = (
+                wanted % STEPS
+            )  # turned by hand it counts on, until the torque comes
         await self._tell(
             table.goal, steps, is_safe=command == self.safe, needs_torque=True
         )
+        return None if holds or steps == wanted else Goal(to_angle(steps))

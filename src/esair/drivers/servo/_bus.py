@@ -132,6 +132,7 @@ class Table(NamedTuple):
             there by themselves.
         light: Its light, which a restart puts out; None if it has none.
         lock: What keeps its mode from being changed; None if nothing does.
+        limits: Its greatest and its least goal, in one block; None if it takes any.
     """
 
     torque: int
@@ -150,6 +151,7 @@ class Table(NamedTuple):
     mapped: int | None = None
     light: int | None = None
     lock: int | None = None
+    limits: Entry | None = None
 
     @property
     def places(self) -> list[int]:
@@ -198,6 +200,7 @@ DYNAMIXEL_X: Final = Table(
     current_unit=0.00269,
     mapped=168,
     light=65,
+    limits=Entry(48, 8),
 )
 """The X series of ROBOTIS: the control table of the XL430-W250."""
 

@@ -34,6 +34,12 @@ ALERT = 0x80
 ACCESS_ERROR = 7
 """What a servo answers to a request beyond its control table."""
 
+LIMIT_ERROR = 6
+"""What it answers to a goal beyond its limits, which it does not take."""
+
+GREATEST, LEAST = 48, 52
+"""Where the table has them."""
+
 TABLE_SIZE = 252
 
 MAP, MAPPED = 168, 224
@@ -68,6 +74,7 @@ class FakeServo:
         for place in range(28):
             self.table[MAP + 2 * place] = MAPPED + place
         self.shut_down = 0
+        self.put(GREATEST, 4095)
         self.put(GOAL_POSITION, steps)
         self.put(PRESENT_POSITION, steps)
 
@@ -108,6 +115,13 @@ class FakeServo:
             return bytes([error | ACCESS_ERROR])
         if address == OPERATING_MODE and self.torque:
             return bytes([error | ACCESS_ERROR])
+        in_turn = self.table[OPERATING_MODE] == 3
+        if address == GOAL_POSITION and in_turn:
+            goal = int.from_bytes(parameters[2:6], "little", signed=True)
+            if not self.get(LEAST) <= goal <= self.get(GREATEST):
+                return bytes([error | LIMIT_ERROR])
+        if address == TORQUE_ENABLE and in_turn and not self.torque:
+            self.put(PRESENT_POSITION, self.get(PRESENT_POSITION) % 4096)
         for n, byte in enumerate(parameters[2:]):
             self.table[self._at(address + n)] = byte
         if self.torque and not self.shut_down and self.table[OPERATING_MODE] == 3:
