@@ -105,6 +105,50 @@ async def test_readings_are_in_units_of_the_house() -> None:
         assert await anext(raw.stream()) == pytest.approx(math.pi)
 
 
+@pytest.mark.parametrize(
+    ("message", "field", "none", "known"),
+    [
+        ("SYS_STATUS", "voltage_battery", 65535, 11_900),
+        ("SYS_STATUS", "battery_remaining", -1, 80),
+        ("BATTERY_STATUS", "temperature", 32767, 2500),
+        ("GLOBAL_POSITION_INT", "hdg", 65535, 9000),
+        ("ESTIMATOR_STATUS", "pos_horiz_accuracy", math.nan, 0.5),
+    ],
+)
+async def test_what_a_vehicle_does_not_know_is_no_reading(
+    message: str, field: str, none: float, known: float
+) -> None:
+    """Which number says so is told by the standard; the vehicle is there all the same."""
+    line = FakeSerial(framing="mavlink")
+    kind = getattr(line.framing.dialect, f"MAVLink_{message.lower()}_message")
+    mav = line.framing.dialect.MAVLink(None, 1, 1)
+    told = iter([none, none, *[known] * 99])
+
+    def packed() -> bytes:
+        fields: dict[str, Any] = dict.fromkeys(kind.fieldnames, 0)
+        if "voltages" in fields:
+            fields |= {"voltages": [0] * 10, "voltages_ext": [0] * 4}
+        return bytes(kind(**fields | {field: next(told)}).pack(mav))
+
+    line.repeat(packed, 0.1)
+    sensor = MavlinkSensor(message=message, value=field, bus=line)
+    async with opened(sensor):
+        assert await anext(sensor.stream()) == known
+        assert sensor.counts() == {"unknown": 1}
+
+
+async def test_a_place_of_nought_is_none() -> None:
+    """ArduPilot tells it until it knows where it is."""
+    line = FakeSerial(framing="mavlink")
+    kind = line.framing.dialect.MAVLink_global_position_int_message
+    mav = line.framing.dialect.MAVLink(None, 1, 1)
+    north = iter([0, 0, *[470_000_000] * 99])
+    line.repeat(lambda: bytes(kind(0, next(north), 0, 9, 9, 0, 0, 0, 0).pack(mav)), 0.1)
+    place = MavlinkSensor(message="GLOBAL_POSITION_INT", bus=line)
+    async with opened(place):
+        assert (await anext(place.stream())).latitude_deg == pytest.approx(47.0)
+
+
 async def test_a_vehicle_that_signs_is_heard_too() -> None:
     """Its signature is left out; packets with other flags are not read."""
     line = FakeSerial(framing="mavlink")

@@ -29,9 +29,13 @@ Source: MAVLink 2, common message set (mavlink.io); messages are those of pymavl
 from __future__ import annotations
 
 import asyncio
+import functools
 import math
-from collections.abc import AsyncIterator, Callable, Mapping
-from typing import Any, Final, Unpack
+import re
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Final, Unpack
+from xml.etree import ElementTree
 
 import attrs
 
@@ -137,7 +141,9 @@ class Position:
     heading: float | None
 
 
-def _position(told: Any) -> Position:
+def _position(told: Any) -> Position | None:
+    if not (told.lat or told.lon):  # ArduPilot says so as long as it knows no place
+        return None
     return Position(
         told.lat * 1e-7,
         told.lon * 1e-7,
@@ -174,6 +180,36 @@ READS: Final[Mapping[str, tuple[type, Callable[[Any], Any]]]] = {
     "GLOBAL_POSITION_INT": (Position, _position),
 }
 """What a reading of a message is; that of each other one is a dictionary."""
+
+_MOST: Final = re.compile(r"(U?)INT(8|16|32|64)_MAX")
+
+
+@functools.cache
+def unknowns(dialect: Any) -> Mapping[tuple[str, str], float]:
+    """Return the numbers that say "not known", by message and field.
+
+    They are in the descriptions from which the package has made its dialect.
+    """
+    found = {}
+    for message in _described(Path(dialect.__file__).with_suffix(".xml"), set()):
+        for field in message.iter("field"):
+            told = field.get("invalid", "")
+            if most := _MOST.fullmatch(told):
+                told = str((1 << int(most[2]) - (not most[1])) - 1)
+            if re.fullmatch(r"-?\d+(\.\d+)?", told):
+                found[message.get("name", ""), field.get("name", "")] = float(told)
+    return found
+
+
+def _described(path: Path, seen: set[Path]) -> Iterator[ElementTree.Element]:
+    """Yield the messages of a dialect, and of those that it includes."""
+    if path in seen or not path.is_file():
+        return
+    seen.add(path)
+    root = ElementTree.parse(path).getroot()
+    for other in root.iter("include"):
+        yield from _described(path.with_name(other.text or ""), seen)
+    yield from root.iter("message")
 
 
 class _Talk:
@@ -274,6 +310,9 @@ class _ActuatorSettings(ActuatorSettings, total=False):
 class MavlinkSensor(_OnVehicle, Sensor[Any]):
     """One kind of message of a vehicle.
 
+    What the vehicle says that it does not know is no reading: a place of 0°, 0°, or a
+    ``value`` of which the standard says so, such as 65535 for ``"voltage_battery"``.
+
     Args:
         message: Its name. A ``HEARTBEAT`` is read as a `Heartbeat`, ``ATTITUDE`` as an
             `Attitude`, ``GLOBAL_POSITION_INT`` as a `Position`; another one as the
@@ -285,7 +324,12 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
             ``silent_after``.
         silent_after: After how many seconds without one the vehicle is lost.
         system: The number of the vehicle.
+
+    Attributes:
+        unknown: How many messages said that the vehicle does not know.
     """
+
+    counted: ClassVar[tuple[str, ...]] = ("unknown",)
 
     def __init__(
         self,
@@ -308,7 +352,11 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
             told = f"expected one of {', '.join(kind.fieldnames)}, not {value!r:.40}"
             raise ConfigError(self.name, "value", told)
         self._value = value
+        self._none = math.nan
+        if value is not None:
+            self._none = unknowns(self._dialect).get((message, value), math.nan)
         self._scale = scale
+        self.unknown: int = 0
         self.silent_after: float = check_seconds(
             self.name, "silent_after", silent_after
         )
@@ -349,16 +397,21 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
         """
         with self.bus.frames() as inbox:
             async for told in self._told(self.message, inbox, self.silent_after):
-                yield self._read(told)
+                if (value := self._read(told)) is None:
+                    self.unknown += 1
+                else:
+                    yield value
 
     def _read(self, told: Any) -> Any:
         if self._value is not None:
             try:
-                return float(getattr(told, self._value)) * self._scale
+                number = float(getattr(told, self._value))
             except (TypeError, ValueError) as error:
                 raise DeviceFaultError(
                     self.name, f"{self._value} is no number"
                 ) from error
+            is_known = number != self._none and not math.isnan(number)
+            return number * self._scale if is_known else None
         if self.message in READS:
             return READS[self.message][1](told)
         return {name: getattr(told, name) for name in told.get_fieldnames()}

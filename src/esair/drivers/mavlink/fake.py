@@ -13,6 +13,9 @@ from esair.framing import Mavlink
 EARTH = 6_371_000.0
 """Its radius, in m."""
 
+BEGIN = 0.0, 8.0
+"""Where a vehicle begins: its latitude and longitude, in degrees."""
+
 
 class FakeVehicle:
     """Tells how and where it is; goes forward and turns by its sticks.
@@ -86,7 +89,8 @@ class FakeVehicle:
         self.yaw = math.remainder(self.yaw + steering * self._period, math.tau)
         self.north += self.speed * math.cos(self.yaw) * self._period
         self.east += self.speed * math.sin(self.yaw) * self._period
-        place = (math.degrees(each / EARTH) * 1e7 for each in (self.north, self.east))
+        gone = (math.degrees(each / EARTH) for each in (self.north, self.east))
+        place = ((begin + far) * 1e7 for begin, far in zip(BEGIN, gone, strict=True))
         going = (self.speed * math.cos(self.yaw), self.speed * math.sin(self.yaw))
         return self._packed(
             "global_position_int",
