@@ -143,6 +143,13 @@ def test_an_led_is_set_and_its_trigger_ends(root) -> None:
     assert (root / "class/leds/green/trigger").read_text() == "none"
 
 
+def test_an_led_without_any_brightness_is_a_fault(root) -> None:
+    """Nothing that it could be told is 0 to 1."""
+    (root / "class/leds/green/max_brightness").write_text("0")
+    with pytest.raises(DeviceFaultError, match="led:green has no brightness"):
+        SysfsActuator(device="led:green").open()
+
+
 def test_a_pwm_channel_begins_with_nothing(root) -> None:
     """Its duty is 0 before it is switched on."""
     fan = SysfsActuator(device="pwm:pwmchip0/1", period=0.00004)

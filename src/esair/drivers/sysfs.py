@@ -264,10 +264,10 @@ class SysfsActuator(_OnSysfs, Actuator[float]):
             trigger = folder / "trigger"
             if trigger.is_file():
                 trigger.write_text("none", encoding="ascii")
-            self._file, self._most = (
-                folder / "brightness",
-                int(self._read(folder / "max_brightness")),
-            )
+            self._file = folder / "brightness"
+            self._most = int(self._read(folder / "max_brightness"))
+            if self._most <= 0:
+                raise DeviceFaultError(self.name, f"{self.device} has no brightness")
             return
         channel = folder / f"pwm{self._channel}"
         if not channel.is_dir():
