@@ -15,6 +15,7 @@ from esair.exceptions import (
     DriverStuckError,
     NoTurnError,
 )
+from esair.loop import SAFE, Urgency, urgency
 from esair.testing import FakeSerial
 
 Make = Callable[..., FakeSerial]
@@ -417,6 +418,53 @@ async def test_a_message_that_was_cut_does_not_take_the_next_one_with_it(
     assert list(line.sent)[-2:] == [b"stop", b"stop again"]
     assert line.written.endswith(b"stop again" + line.written[-1:])
     assert line.stats.discarded > 0
+    await line.close()
+
+
+@pytest.mark.fault("D16")
+async def test_what_waits_gives_way_to_what_is_safe(fake_serial: Make) -> None:
+    """It would come first, and late; what is safe, too, stays, and is never refused."""
+    line = fake_serial("front", out_limit=24)
+    await line.open()
+    line.stall(after=3)
+    motions = [asyncio.create_task(line.send(b"forward")) for _ in range(3)]
+    await asyncio.sleep(0.3)
+
+    urgency.set(Urgency(SAFE))
+    stops = [asyncio.create_task(line.send(each)) for each in (b"stop 1", b"stop 2")]
+    urgency.set(Urgency())
+    await asyncio.wait(motions)
+    after = asyncio.create_task(line.send(b"back"))
+    await asyncio.sleep(0.1)
+    line.resume()
+    await asyncio.gather(*stops, after)
+    await line.until(b"back")
+
+    assert [type(each.exception()) for each in motions] == [BusyError] * 3
+    assert line.written == b"for\nstop 1\nstop 2\nback\n"
+    await line.close()
+
+
+@pytest.mark.fault("D16")
+async def test_what_is_cut_gives_way_only_if_a_delimiter_can_end_it(
+    fake_serial: Make,
+) -> None:
+    """Else what is safe would be taken for its rest."""
+    framing = {"type": "length-crc", "sync": "AA 55"}
+    line = fake_serial("front", framing=framing)
+    await line.open()
+    line.stall(after=3)
+    motion = asyncio.create_task(line.send(b"forward"))
+    await asyncio.sleep(0.1)
+
+    urgency.set(Urgency(SAFE))
+    stop = asyncio.create_task(line.send(b"stop"))
+    await asyncio.sleep(0.1)
+    line.resume()
+    await asyncio.gather(motion, stop)
+    await line.until(b"stop")
+
+    assert list(line.sent) == [b"forward", b"stop"]
     await line.close()
 
 

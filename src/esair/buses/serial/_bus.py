@@ -240,7 +240,8 @@ class SerialBus(Bus):
 
         Raises:
             DeviceLostError: The line is gone. Nobody knows how much was sent.
-            BusyError: Too many bytes wait already; nothing was sent.
+            BusyError: Too many bytes wait already; or they gave way to what makes an
+                actuator safe, which waits for none. Nothing, or a part, was sent.
             DriverStuckError: The device took no bytes in time. All bytes that
                 waited are thrown away, so that none of them comes late. The same
                 happens if the writer is cancelled and nobody else waits.
@@ -259,6 +260,9 @@ class SerialBus(Bus):
         """Send bytes; returns how many, if the line has not taken all of them at once."""
         line = self._connected()
         link = line.link
+        is_safe = urgency.get().level >= SAFE
+        if is_safe:
+            self._make_way(line)
         if self._is_cut:
             data = self.resync + data
         if link.get_write_buffer_size() + len(data) > self.out_limit:
@@ -273,9 +277,7 @@ class SerialBus(Bus):
             if len(self._echo) > ECHO_LIMIT:  # there is none
                 self._echo = b""
                 self.stats.bad_frames += 1
-        self._since_safe += len(data)
-        if urgency.get().level >= SAFE:
-            self._since_safe = 0
+        self._since_safe = 0 if is_safe else self._since_safe + len(data)
         if request is not None:
             request.begin()
         if not line.write(data):
@@ -362,6 +364,15 @@ class SerialBus(Bus):
         self._since_safe -= gone
         self.stats.discarded += gone
         self._echo = self._echo[: max(0, len(self._echo) - gone)]
+
+    def _make_way(self, line: Line) -> None:
+        """Throw away what waits before what is safe, unless that is safe, too."""
+        waiting = line.link.get_write_buffer_size()
+        # Without a delimiter what is safe would be taken for the rest of what is cut.
+        is_whole = self.resync or not line.ends_in_a_message()
+        if 0 < waiting <= self._since_safe and is_whole:
+            what = "number of bytes that wait before what is safe"
+            self._discard(line, BusyError(f"bus {self.name}", what, 0))
 
     def _connected(self) -> Line:
         if not self.is_open or self._line is None:
