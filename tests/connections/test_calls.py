@@ -583,12 +583,14 @@ async def test_a_stream_that_goes_on_after_the_loss_is_not_heard(user_of: Any) -
                 yield mine
 
     bumper, user = Bumper(), user_of("user", bumper=esair.reads(int))
-    async with esair.Robot(resources=[bumper], behaviors=[user]):
+    async with esair.Robot(resources=[bumper], behaviors=[user]) as robot:
         await asyncio.sleep(0.2)
         bumper.report_lost()
         await asyncio.sleep(1.0)
         seen = {reading.value for reading in user.bumper.history(3)}
         assert seen == {2}
+        # A value, and the end of the call that yields it.
+        assert robot.journal.counts()["bumper"]["late"] == 2
 
 
 @pytest.mark.promise("CALL-1")

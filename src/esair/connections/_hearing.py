@@ -381,12 +381,9 @@ class Listening:
                 return False
 
     def _heard(self, value: Any, calls: Calls, opening: int) -> bool:
-        """Bring in what the device has pushed, unless its opening is over."""
-        if opening == calls.opening:
-            self._door.end(self._tag, self._pushed, value, None, opening, calls)
-            return opening == calls.opening
-        self._device.calls.late += 1
-        return False
+        """Bring in what the device has pushed; tell whether its opening goes on."""
+        self._door.end(self._tag, self._pushed, value, None, opening, calls)
+        return opening == calls.opening
 
     def _pushed(
         self,
