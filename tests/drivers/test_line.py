@@ -20,7 +20,8 @@ from esair.drivers.line import (
     encode_value,
 )
 from esair.drivers.line.fake import FakeBoard
-from esair.exceptions import DeviceFaultError, DriverStuckError
+from esair.exceptions import ConfigError, DeviceFaultError, DriverStuckError
+from esair.messages import ResourceState
 from esair.testing import ActuatorContract, FakeSerial, SensorContract
 
 
@@ -72,6 +73,47 @@ class TestConfirmed(TestTold):
     """An actuator whose board confirms each command."""
 
     ack = is_heard = True
+
+
+class TestReadBack(TestConfirmed):
+    """An actuator whose board is asked what it has, each second."""
+
+    keeps_nothing = ""
+
+    def make(self) -> LineActuator:
+        line = FakeSerial("front")
+        self.far = FakeBoard(line, commands={"speed": 0.0}, ack=True)
+        device = LineActuator(
+            name="speed", safe=0.25, ack=True, reads_back=True, bus=line
+        )
+        device.set_up_period = 0.2  # before what is safe is told again
+        return device
+
+
+@pytest.mark.promise("BUS-4", "RES-4")
+@pytest.mark.parametrize("is_silent", [False, True])
+async def test_what_is_read_back_is_noticed_without_a_command(
+    line: FakeSerial, is_silent: bool
+) -> None:
+    """One that restarted with its motor on is made safe; one that is silent is lost."""
+    board = FakeBoard(line, commands={"speed": 0.7}, ack=True)
+    device = LineActuator(name="speed", safe=0.0, ack=True, reads_back=True, bus=line)
+    async with esair.Robot(resources=[device]) as robot:
+        await asyncio.sleep(3.0)
+        assert robot.resources.query("speed").losses == 0
+        board.power_cycle()
+        board.silent = is_silent
+        await asyncio.sleep(3.0)
+        status = robot.resources.query("speed")
+        assert status.losses == 1
+        assert (status.state is ResourceState.READY) is not is_silent
+        assert board.commands["speed"] == (0.7 if is_silent else 0.0)
+
+
+def test_what_is_not_confirmed_is_not_read_back(line: FakeSerial) -> None:
+    """A board rounds, and what it has would be another number each time."""
+    with pytest.raises(ConfigError, match="reads_back: expected ack = true"):
+        LineActuator(name="speed", safe=0.0, reads_back=True, bus=line)
 
 
 @pytest.mark.real_clock

@@ -3,7 +3,8 @@ r"""A microcontroller that speaks in lines of text: ``name=value``, on a serial 
 The protocol, for the other side (an Arduino sketch, a MicroPython script), is::
 
     range=1.25       board to robot: a value, whenever the board likes
-    range?           robot to board: what is it now? The board answers range=1.25
+    range?           robot to board: what is it now? The board answers range=1.25; of a
+                     command, with what was applied last
     speed=0.3        robot to board: a command
     speed:0.3        board to robot: done, and this is what was applied
     speed!too fast   board to robot: not done, and why
@@ -90,6 +91,8 @@ class _OnLine(Resource):
     """What sensors and actuators on such a board have in common."""
 
     bus: SerialBus
+    bad_lines: int = 0
+    counted: ClassVar[tuple[str, ...]] = ("bad_lines",)
 
     def __init__(self, *, key: str | None = None, **settings: Any) -> None:
         super().__init__(**settings)
@@ -112,6 +115,18 @@ class _OnLine(Resource):
             return None
         answer = await self.bus.ask(b"who?", prefix=b"who=")
         return answer.partition(b"=")[2].strip().decode("ascii", "replace")
+
+    async def _look(self) -> float:
+        """Ask for the number that the board has now."""
+        key = self.key.encode("ascii")
+        return self._number_in(await self.bus.ask(key + b"?", prefix=key + b"="))
+
+    def _number_in(self, answer: bytes) -> float:
+        try:
+            return decode_value(answer)[1]
+        except LineError as error:
+            self.bad_lines += 1
+            raise DeviceFaultError(self.name, str(error)) from error
 
 
 class _LineSettings(TypedDict, total=False):
@@ -138,8 +153,6 @@ class LineSensor(_OnLine, Sensor[float]):
         bad_lines: How many values were no number.
     """
 
-    counted: ClassVar[tuple[str, ...]] = ("bad_lines",)
-
     def __init__(
         self,
         *,
@@ -153,7 +166,6 @@ class LineSensor(_OnLine, Sensor[float]):
         if silent_after is not None:
             check_seconds(self.name, "silent_after", silent_after)
             self.period = self.period or silent_after
-        self.bad_lines: int = 0
 
     @property
     def can_be_asked(self) -> bool:
@@ -181,14 +193,7 @@ class LineSensor(_OnLine, Sensor[float]):
             DeviceFaultError: The answer is no number.
             DriverStuckError: There is no answer.
         """
-        answer = await self.bus.ask(
-            f"{self.key}?".encode("ascii"), prefix=f"{self.key}=".encode("ascii")
-        )
-        try:
-            return decode_value(answer)[1]
-        except LineError as error:
-            self.bad_lines += 1
-            raise DeviceFaultError(self.name, str(error)) from error
+        return await self._look()
 
     async def stream(self) -> AsyncIterator[float]:
         """Yield each value that comes; what is no number is counted and left out."""
@@ -214,6 +219,14 @@ class LineActuator(_OnLine, Actuator[float]):
         ack: Whether the board confirms each command, with what it has applied.
         limits: Least and greatest number.
         own_timeout: After how many seconds without a command the board itself stops.
+        reads_back: Whether what the board has confirmed is read back each second, as
+            ``speed?``. A board that is silent is lost then though nobody tells it
+            anything, and one that has another number, as after a restart, is opened
+            again and made safe: for what the board itself does not change. It needs
+            an ``ack``.
+
+    Attributes:
+        bad_lines: How many answers had no number.
     """
 
     def __init__(
@@ -223,9 +236,16 @@ class LineActuator(_OnLine, Actuator[float]):
         ack: bool = False,
         limits: tuple[float, float] | None = None,
         own_timeout: float | None = None,
+        reads_back: bool = False,
         **settings: Unpack[_ActuatorSettings],
     ) -> None:
         super().__init__(**settings)
+        if reads_back and not ack:
+            told = "expected ack = true beside it: what was confirmed is read back"
+            raise ConfigError(self.name, "reads_back", told)
+        self.reads_back: bool = reads_back
+        self._told: float | None = None
+        """What was confirmed last; None while another command is under way."""
         self.claim: str = f"the value {self.key!r}"
         self.safe = safe
         self.ack = ack
@@ -236,6 +256,22 @@ class LineActuator(_OnLine, Actuator[float]):
         """The safe number, after what ends a line that was cut in half."""
         line = self.bus.framing.encode(encode_value(self.key, self.safe))
         return SafeFrames([line], resync=self.bus.resync)
+
+    @property
+    def can_tell_set_up(self) -> bool:
+        """Whether what it has confirmed is read back."""
+        return self.reads_back
+
+    async def is_set_up(self) -> bool:
+        """Tell whether the board still has what it has confirmed last."""
+        told, has = self._told, await self._look()
+        return told is None or told != self._told or has == told
+
+    async def open(self) -> None:
+        """Make sure that the board answers, if it is to be read back."""
+        self._told = None
+        if self.reads_back:
+            await self._look()
 
     async def write(self, command: float) -> float | None:
         """Tell the number.
@@ -248,12 +284,11 @@ class LineActuator(_OnLine, Actuator[float]):
         if not self.ack:
             await self.bus.send(line)
             return None
+        self._told = None
         done, refused = f"{self.key}:".encode("ascii"), f"{self.key}!".encode("ascii")
         answer = await self.bus.ask(line, prefix=(done, refused))
         if answer.startswith(refused):
             why = answer[len(refused) :].strip().decode("ascii", "replace")
             raise DeviceFaultError(self.name, f"the board refused {line!r}: {why:.80}")
-        try:
-            return decode_value(answer)[1]
-        except LineError as error:
-            raise DeviceFaultError(self.name, str(error)) from error
+        self._told = self._number_in(answer)
+        return self._told

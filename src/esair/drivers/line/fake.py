@@ -68,7 +68,8 @@ class FakeBoard:
             return b"who=" + self.name.encode()
         if line.endswith(b"?"):
             key = line[:-1].decode("ascii", "replace")
-            return encode_value(key, self.values[key]) if key in self.values else None
+            known = {**self.commands, **self.values}
+            return encode_value(key, known[key]) if key in known else None
         try:
             key, value = decode_value(line)
         except LineError:
