@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
+from typing import ClassVar
 
 import hypothesis
 import pytest
@@ -31,7 +32,7 @@ def line(fake_serial: Callable[..., FakeSerial]) -> FakeSerial:
 
 
 class OnBoard(Powered):
-    keeps_nothing = "each line says all that the board needs"
+    keeps_nothing: ClassVar[str] = "each line says all that the board needs"
 
 
 class TestPushed(OnBoard, SensorContract):
@@ -78,7 +79,7 @@ class TestConfirmed(TestTold):
 class TestReadBack(TestConfirmed):
     """An actuator whose board is asked what it has, each second."""
 
-    keeps_nothing = ""
+    keeps_nothing: ClassVar[str] = ""
 
     def make(self) -> LineActuator:
         line = FakeSerial("front")
