@@ -53,6 +53,15 @@ async def test_a_last_will_is_told_by_check_and_why(
         assert robot.resources.why("pump").dies.endswith(end)
 
 
+@pytest.mark.promise("AC-1")
+def test_a_command_that_is_no_json_is_refused() -> None:
+    """As the command that it is: the device, which was not asked, is not at fault."""
+    lamp = MqttActuator(topic="lamp", safe={"on": False}, name="lamp", bus=FakeMqtt())
+    lamp.check({"on": True})
+    with pytest.raises(BadValueError, match="lamp: command: TypeError: Object of type"):
+        lamp.check({"on": {1, 2}})
+
+
 class Thing:
     """A thing with a status, on a broker in memory."""
 

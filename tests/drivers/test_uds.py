@@ -18,11 +18,13 @@ pytest.importorskip("isotp", reason="pip install 'esair[uds]'")
 
 import isotp
 
+import esair
 from esair.buses import CanBus, Frame
 from esair.buses.can import FakeCan
 from esair.drivers.uds import IsoTp, UdsActuator, UdsSensor
 from esair.drivers.uds.fake import FakeUnit
 from esair.exceptions import (
+    BadValueError,
     ConfigError,
     DeviceFaultError,
     DeviceLostError,
@@ -263,18 +265,39 @@ async def test_half_an_answer_is_none(answer: str) -> None:
         assert await sensor.read() == 123.0
 
 
+@pytest.mark.promise("AC-1")
+async def test_a_command_that_does_not_fit_is_no_fault_of_the_unit() -> None:
+    """It is refused as what it is, and the unit stays; a safe one stops the start."""
+    can = FakeCan()
+    FakeUnit(can, VALUES)
+
+    def fan(safe: float) -> UdsActuator:
+        return UdsActuator(
+            identifier=0x0123, layout="B", safe=safe, name="fan", bus=can
+        )
+
+    user = esair.Behavior(name="user", writes={"fan": esair.writes(float)})
+    async with esair.Robot(resources=[fan(0.0)], behaviors=[user]) as robot:
+        port: Any = user.fan  # type: ignore[attr-defined]
+        for _ in range(4):
+            with pytest.raises(BadValueError, match=r"256.0 does not fit '>B'"):
+                await port.write(256.0)
+        assert await port.write(255.0)
+        assert robot.resources.query("fan").faults == 0
+    with pytest.raises(ExceptionGroup) as told:
+        await esair.Robot(resources=[fan(256.0)]).__aenter__()
+    assert "safe: does not fit" in str(told.value.exceptions[0])
+
+
 async def test_what_does_not_fit_is_a_fault() -> None:
-    """Neither the answer of another layout nor a command that is too great is used."""
+    """The answer of another layout is not used."""
     can = FakeCan()
     FakeUnit(can, VALUES)
     wide = UdsSensor(identifier=0xF190, layout="17s", name="wide", bus=can)
-    fan = UdsActuator(identifier=0x0123, layout="B", safe=0.0, name="fan", bus=can)
-    async with opened(wide, fan):
+    async with opened(wide):
         wide._layout = UdsSensor(identifier=1, layout="I", bus=can)._layout
         with pytest.raises(DeviceFaultError, match="expected 4 bytes"):
             await wide.read()
-        with pytest.raises(DeviceFaultError, match=r"256.0 does not fit '>B'"):
-            await fan.write(256.0)
     with pytest.raises(ConfigError, match="layout: expected one value"):
         UdsSensor(identifier=1, layout="HH", bus=can)
 

@@ -41,7 +41,7 @@ from typing import Any, ClassVar, TypedDict, Unpack
 from esair.buses import Inbox
 from esair.buses.mqtt import Message, MqttBus, MqttLink, matches
 from esair.drivers._on_bus import check_bus, ended, heard, watching
-from esair.exceptions import ConfigError, DeviceLostError, describe
+from esair.exceptions import BadValueError, ConfigError, DeviceLostError, describe
 from esair.resources import (
     HOLD,
     Actuator,
@@ -318,6 +318,15 @@ class MqttActuator(_OnMqtt, Actuator[Any]):
         link, self._link = self._link, None
         await self.bus.disconnect(link)
 
+    def check(self, command: Any) -> None:
+        """Refuse a command of which there is no JSON.
+
+        Raises:
+            BadValueError: It is one.
+        """
+        if self.kind == "json":
+            self._encoded(command)
+
     async def write(self, command: Any) -> None:
         """Publish it, and wait until the broker has it.
 
@@ -337,4 +346,4 @@ class MqttActuator(_OnMqtt, Actuator[Any]):
         try:
             return command if self.kind == "text" else json.dumps(command)
         except (TypeError, ValueError) as error:
-            raise ConfigError(self.name, "command", describe(error)) from error
+            raise BadValueError(self.name, "command", describe(error)) from error

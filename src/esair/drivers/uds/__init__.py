@@ -36,6 +36,7 @@ from typing import Any, Final, Literal, Required, TypedDict, Unpack
 from esair.buses import CanBus, Exchanges, Frame, Inbox
 from esair.drivers._on_bus import SharedTask, check_bus, room_comes, shared
 from esair.exceptions import (
+    BadValueError,
     BusyError,
     ConfigError,
     DeviceFaultError,
@@ -291,21 +292,32 @@ class UdsActuator(_OnUnit, Actuator[float]):
             return True
         return told == bytes((self.session,))
 
-    async def write(self, command: float) -> None:
-        """Control or write the value.
+    def check(self, command: float) -> None:
+        """Refuse a command that its layout cannot hold.
 
         Raises:
-            DeviceFaultError: The unit refuses, or the value does not fit its layout.
-            DeviceLostError: It is busy, or a unit behind it does not answer.
+            BadValueError: It is one.
         """
+        self._packed(command)
+
+    def _packed(self, command: float) -> bytes:
         raw: Any = (command - self._offset) / self._scale
         try:
             if self._layout.format[-1:] not in "efd":
                 raw = round(raw)
-            data = self._layout.pack(raw)
+            return self._layout.pack(raw)
         except (struct.error, OverflowError) as error:
             told = f"{command!r} does not fit {self._layout.format!r}"
-            raise DeviceFaultError(self.name, told) from error
+            raise BadValueError(self.name, "command", told) from error
+
+    async def write(self, command: float) -> None:
+        """Control or write the value.
+
+        Raises:
+            DeviceFaultError: The unit refuses.
+            DeviceLostError: It is busy, or a unit behind it does not answer.
+        """
+        data = self._packed(command)
         if self.by == "control":
             await self._control(b"\x03" + data)
         else:
