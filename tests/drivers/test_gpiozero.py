@@ -121,6 +121,26 @@ async def test_each_sensor_is_read(device, factory) -> None:
     assert isinstance(value, bool | int | float | tuple)
 
 
+@pytest.mark.fault("D15")
+@pytest.mark.filterwarnings("ignore::gpiozero.DistanceSensorNoEcho")
+@pytest.mark.parametrize("partial", [True, False])
+async def test_a_distance_without_an_echo_is_none(factory, partial) -> None:
+    """Its cable is off: gpiozero tells what it heard last, again and again."""
+    factory.pin_class = MockPin
+    trigger = factory.pin(
+        6, pin_class=MockTriggerPin, echo_pin=factory.pin(5), echo_time=0.002
+    )
+    pins = {"echo": 5, "trigger": 6, "partial": partial, "queue_len": 2}
+    sonar = GpiozeroSensor(name="sonar", device="DistanceSensor", arguments=pins)
+    async with esair.Robot(resources=[sonar], policies=[free("sonar")]) as robot:
+        right = await robot.resources.register("me", "sonar", esair.Access.READ)
+        assert (await robot.sensors.read(right, fresh=True, timeout=3.0)).value > 0.1
+        trigger.echo_pin = factory.pin(13)
+        await asyncio.sleep(1.0)
+        with pytest.raises(esair.DeviceFaultError, match="no echo comes"):
+            await robot.sensors.read(right, fresh=True, timeout=3.0)
+
+
 @pytest.mark.parametrize(
     "device",
     [

@@ -21,6 +21,9 @@ Source: gpiozero 2.0, API of input, output, SPI, internal devices and boards.
 
 from __future__ import annotations
 
+import errno
+import math
+import time
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple, TypeVar, Unpack
 
@@ -114,8 +117,45 @@ TELLS: Final[Mapping[str, Told]] = {
 """What each class is told. Angles are degrees, all else parts of the whole."""
 
 
+SILENCE: Final = 0.5
+"""After how many seconds without an echo there is no distance."""
+
+FIRST: Final = 1.5
+"""How long the first echoes may take, in seconds."""
+
+
+class EchoSensor(gpiozero.DistanceSensor):  # type: ignore[misc]  # it is not typed
+    """A `gpiozero.DistanceSensor` that tells when no echo comes.
+
+    The package's own keeps its last echoes, and their distance is that of a wall that was
+    there when its cable was.
+    """
+
+    _heard = -math.inf
+
+    def _read(self) -> Any:
+        found = super()._read()
+        if found is not None:
+            self._heard = time.monotonic()
+        return found
+
+    @property
+    def distance(self) -> Any:
+        """The distance in m.
+
+        Raises:
+            OSError: No echo comes.
+        """
+        is_full = self._queue.full.wait(FIRST) or self._queue.partial
+        if is_full and time.monotonic() - self._heard <= SILENCE:
+            return super().distance
+        raise OSError(errno.EIO, "no echo comes: is it connected?")
+
+
 class GpiozeroSensor(MadeSensor):
     """A sensor of gpiozero.
+
+    A ``DistanceSensor`` without an echo for 0.5 s is at fault.
 
     Args:
         device: Its class, one of `READS`.
@@ -133,7 +173,8 @@ class GpiozeroSensor(MadeSensor):
     ) -> None:
         super().__init__(**settings)
         value = _known(self, device, READS)
-        self._reads(Made(self, getattr(gpiozero, device), arguments), value, limits)
+        made = EchoSensor if device == "DistanceSensor" else getattr(gpiozero, device)
+        self._reads(Made(self, made, arguments), value, limits)
 
 
 class GpiozeroActuator(MadeActuator):
