@@ -70,6 +70,41 @@ def _there() -> None:
     Probe.made.clear()
 
 
+class Turned:
+    """As a BNO055 of Adafruit: it has restarted after five answers."""
+
+    def __init__(self) -> None:
+        self.answers = 0
+        self.finger: tuple[int | None, int] = (None, 0)
+        self.fingers: list[int] = []
+
+    @property
+    def euler(self) -> tuple[float | None, ...]:
+        self.answers += 1
+        return (None,) * 3 if self.answers > 5 else (1.0, 2.0, 3.0)
+
+
+@pytest.mark.fault("D26")
+async def test_values_that_are_all_none_are_a_fault() -> None:
+    """So the part is opened again, which sets it up."""
+    sensor = ObjectSensor(name="imu", library=Turned, value="euler")
+    policy = esair.Policy("imu", allow={"*": esair.Access.READ})
+    async with esair.Robot(resources=[sensor], policies=[policy]) as robot:
+        right = await robot.resources.register("me", "imu", esair.Access.READ)
+        for answer in range(20):
+            try:
+                reading = await robot.sensors.read(right, fresh=True, timeout=3.0)
+            except (esair.DeviceFaultError, DeviceLostError):
+                assert answer >= 5
+            else:
+                assert reading.value == (1.0, 2.0, 3.0)
+        assert robot.resources.query("imu").losses > 0
+    for value, wanted in (("finger", (None, 0)), ("fingers", [])):
+        sensor = ObjectSensor(library=Turned, value=value)
+        sensor.open()
+        assert sensor.read() == wanted
+
+
 class Pulled:
     """How the part of this file goes and comes."""
 

@@ -27,7 +27,7 @@ import importlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Unpack
 
-from esair.exceptions import ConfigError, DeviceLostError, describe
+from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError, describe
 from esair.resources import (
     HOLD,
     Actuator,
@@ -294,8 +294,18 @@ class MadeSensor(OnObject, Sensor[Any]):
             self.limits: tuple[float, float] = limits
 
     def read(self) -> Any:
-        """Read it; on the thread of the object."""
-        return self._read()
+        """Read it; on the thread of the object.
+
+        Raises:
+            DeviceFaultError: Each of several values is None, as those of a part are that
+                has restarted and is not set up.
+        """
+        value = self._read()
+        parts = value.values() if isinstance(value, Mapping) else value
+        several = isinstance(value, tuple | list | Mapping) and value
+        if several and all(each is None for each in parts):
+            raise DeviceFaultError(self.name, "it has no value: has it restarted?")
+        return value
 
 
 class MadeActuator(OnObject, Actuator[Any]):
