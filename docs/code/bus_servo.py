@@ -32,9 +32,10 @@ class BusServo(esair.Actuator[float]):
 
     async def write(self, command: float) -> float:
         angle = await self.angle() if command is esair.HOLD else command
-        data = round(angle / STEP).to_bytes(2, "little") + bytes(2)
+        steps = min(max(0, round(angle / STEP)), 1000)  # it may be a bit beyond
+        data = steps.to_bytes(2, "little") + bytes(2)
         await self.bus.send(bytes([self.number, MOVE]) + data)
-        return angle
+        return steps * STEP
 
     def safe_frames(self) -> SafeFrames:
         stop = self.bus.framing.encode(bytes([self.number, STOP]))

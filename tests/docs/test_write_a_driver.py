@@ -89,7 +89,7 @@ class FarServo:
         if message[0] != 3 or not self.has_power:
             return None
         if message[1] == POSITION:
-            return message + self.count.to_bytes(2, "little")
+            return message + self.count.to_bytes(2, "little", signed=True)
         assert message[1] == MOVE
         self.count = int.from_bytes(message[2:4], "little")
         return None
@@ -114,6 +114,20 @@ class TestBusServo(ActuatorContract):
 
     async def power_cycle(self, device: BusServo) -> None:
         self.far.has_power = True  # it keeps nothing that it would lose
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.parametrize(("count", "held"), [(-2, 0), (1003, 1000)])
+async def test_the_servo_holds_at_the_ends_of_its_way(count: int, held: int) -> None:
+    """There it tells angles that it takes no more."""
+    made = TestBusServo()
+    servo = made.make()
+    made.far.count = count
+    await servo.bus.open()
+    await servo.write(esair.HOLD)
+    await asyncio.sleep(0.01)
+    assert made.far.count == held
+    await servo.bus.close()
 
 
 @pytest.mark.virtual_clock
