@@ -6,10 +6,13 @@ import asyncio
 import contextlib
 import os
 import struct
+import threading
+import time
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
+import can
 import pytest
 from canopen.objectdictionary import import_od
 from hypothesis import given
@@ -621,3 +624,47 @@ async def test_it_works_where_the_lane_of_the_bus_is_needed_to_send() -> None:
     node.stop()
     await end.close()
     await far.close()
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("BUS-4")
+@pytest.mark.parametrize("seconds", [0.18, 0.4])
+async def test_heartbeats_that_came_while_the_loop_stood_still_count(
+    seconds: float,
+) -> None:
+    """The node was there all the time; this computer was held up."""
+    channel = f"canopen-still-{os.getpid()}"
+    near, far = (
+        CanBus(name=name, interface="virtual", channel=channel)
+        for name in ("near", "far")
+    )
+    await far.open()
+    end, over = FarEnd(far), threading.Event()
+    node = FakeCanopenNode(end, MOTOR, node=5)  # type: ignore[arg-type]
+
+    def live() -> None:
+        beat = can.Message(arbitration_id=0x705, data=[5], is_extended_id=False)
+        with can.Bus(interface="virtual", channel=channel) as bus:
+            while not over.wait(0.02):
+                bus.send(beat)
+
+    heart = threading.Thread(target=live)
+    heart.start()
+    device = CanopenSensor(
+        object="Position actual value", node=5, eds=MOTOR, heartbeat=0.05, bus=near
+    )
+    lost: list[BaseException | None] = []
+    device._listener = lost.append
+    try:
+        async with asyncio.timeout(30), opened(device):
+            for _ in range(3):
+                await asyncio.sleep(0.2)
+                time.sleep(seconds)  # noqa: ASYNC251 - it is what is tried
+            await asyncio.sleep(0.1)
+            assert lost == []
+    finally:
+        over.set()
+        heart.join()
+        node.stop()
+        await end.close()
+        await far.close()

@@ -21,7 +21,7 @@ from esair.exceptions import (
     DriverStuckError,
 )
 from esair.loading import of_extra
-from esair.loop import Executor
+from esair.loop import Deadlines, Executor
 from esair.resources import Resource
 from esair.values import check_seconds, check_whole
 from esair.watchdog import can_frame
@@ -225,7 +225,8 @@ class Node:
         self.remote: Any = None
         self.network: CanopenNetwork | None = None
         self._pump: asyncio.Task[None] | None = None
-        self._watch: asyncio.TimerHandle | None = None
+        loop = asyncio.get_running_loop()
+        self._watch = Deadlines.beside(loop).idle(self._is_silent)
         self._patience = 0.0
         self._emergency: Emergency | None = None
 
@@ -246,11 +247,11 @@ class Node:
                 self.number, device.dictionary, self.bus, self.exchanges
             )
             self.network.add_node(self.remote)
-            inbox = self.bus.frames(
+            self._inbox = self.bus.frames(
                 *(base + self.number for base in (0x80, 0x580, 0x700)), limit=64
             )
             self._pump = asyncio.get_running_loop().create_task(
-                self._take(inbox), name=f"{self.bus.name} node {self.number}"
+                self._take(self._inbox), name=f"{self.bus.name} node {self.number}"
             )
             try:
                 period = await self.call(
@@ -277,8 +278,7 @@ class Node:
         nodes = shared(self.bus, Node)
         if nodes.get(self.number) is self:
             del nodes[self.number]
-        if self._watch is not None:
-            self._watch.cancel()
+        self._watch.cancel()
         await ended(self._pump)
         if self.network is not None:
             if self.remote is not None:
@@ -378,13 +378,15 @@ class Node:
             self._arm_watch()
 
     def _arm_watch(self) -> None:
-        if self._watch is not None:
-            self._watch.cancel()
-            self._watch = None
+        self._watch.cancel()
         if self._patience > 0.0 and self.usable:
-            self._watch = asyncio.get_running_loop().call_later(
-                self._patience, self._lost, f"no heartbeat for {self._patience:g} s"
-            )
+            self._watch.start(asyncio.get_running_loop().time() + self._patience)
+
+    def _is_silent(self) -> None:
+        if self._inbox:  # this computer was held up, and has not looked yet
+            self._arm_watch()
+        else:
+            self._lost(f"no heartbeat for {self._patience:g} s")
 
     def _lost(self, why: str) -> None:
         self.usable = False
