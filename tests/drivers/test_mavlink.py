@@ -185,6 +185,24 @@ async def test_the_heartbeat_of_a_gimbal_is_not_the_vehicles() -> None:
     await line.close()
 
 
+async def test_a_beat_that_waits_behind_another_message_is_in_time() -> None:
+    """The event loop was held up until the next beat was due."""
+    line = FakeSerial(framing="mavlink")
+    dialect = line.framing.dialect
+    mav = dialect.MAVLink(None, 1, 1)
+    beat = bytes(dialect.MAVLink_heartbeat_message(10, 3, 128, 0, 4, 3).pack(mav))
+    other = bytes(dialect.MAVLink_attitude_message(0, *[0.0] * 6).pack(mav))
+    sensor = MavlinkSensor(bus=line, silent_after=1.0)
+    await line.open()
+    values = sensor.stream()
+    for _ in range(3):
+        reading = asyncio.ensure_future(anext(values))
+        await asyncio.sleep(1.0)
+        line.feed(other + beat)
+        assert (await reading).armed
+    await line.close()
+
+
 async def test_sticks_that_are_not_held_let_go() -> None:
     """The vehicle's own time-out ends what was told last; its station is known to it."""
     line = FakeSerial(framing="mavlink")

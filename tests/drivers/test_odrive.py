@@ -169,6 +169,29 @@ async def write(robot: esair.Robot, command: float) -> None:
     await asyncio.sleep(0.001)  # until the frames have arrived
 
 
+async def test_a_beat_that_waits_behind_an_estimate_is_in_time(fake_can: Any) -> None:
+    """The event loop was held up until the next beat was due."""
+    wire = fake_can("drive")
+    state = OdriveState(node=0, heartbeat_timeout=0.5, bus=wire)
+    beat = frame_id(0, Message.HEARTBEAT), encode_heartbeat(Heartbeat(0, IDLE))
+    await wire.open()
+    values: Any = state.stream()
+    reading = asyncio.ensure_future(anext(values))
+    await asyncio.sleep(0)
+    wire.feed(*beat)
+    await asyncio.sleep(0.5)
+    for id_, data in (
+        (frame_id(0, Message.GET_ENCODER_ESTIMATES), encode_estimates(1.0, 2.0)),
+        beat,
+    ):
+        wire.feed(id_, data)
+
+    assert (await reading).position == pytest.approx(1.0)
+
+    await values.aclose()
+    await wire.close()
+
+
 async def test_only_a_command_that_is_not_safe_arms_it(rig: Any) -> None:
     """Neither its opening nor the safe command does."""
     _, fake, axis = rig()

@@ -374,7 +374,8 @@ class OdriveState(_OnAxis, Sensor[AxisReading]):
                 except FrameError:
                     self.bad_frames += 1
                     continue
-                if loop.time() >= due:  # it measures, but its heart stands still
+                # It measures, but its heart stands still; or its beat waits behind this.
+                if loop.time() >= due and not inbox:
                     raise self._silent()
                 if heartbeat is not None:
                     yield AxisReading(
