@@ -140,6 +140,19 @@ async def test_a_chip_that_has_lost_its_power_is_at_fault() -> None:
 
 
 @pytest.mark.virtual_clock
+async def test_a_wire_that_nobody_pulls_down_is_no_motion(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The chip went amid the transfer: -1 on each axis would look like free fall, too."""
+    chip = FakeMpu6050()
+    imu = await sensor_on(chip)
+    await imu.open()
+    monkeypatch.setattr(chip, "read", lambda _register, length: b"\xff" * length)
+    with pytest.raises(DeviceFaultError, match="every byte is 0xff"):
+        await imu.read()
+
+
+@pytest.mark.virtual_clock
 @pytest.mark.fault("D05")
 async def test_another_chip_at_the_address_is_refused() -> None:
     """WHO_AM_I tells, the error says what was found, and nothing is written to it."""

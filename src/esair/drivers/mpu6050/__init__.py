@@ -141,10 +141,11 @@ class Mpu6050(OnChip, Sensor[Motion]):
         async with self._quiet:
             block = await self.bus.read(self.address, ACCEL_XOUT_H, _BLOCK.size)
             steps = self._accel_step, self._gyro_step
-        if not any(block):
-            raise DeviceFaultError(
-                self.name, "every axis is 0: the chip sleeps, it has lost its power"
+        if block in {bytes(_BLOCK.size), b"\xff" * _BLOCK.size}:
+            told = (
+                f"every byte is {block[0]:#x}: the chip sleeps, it has lost its power"
             )
+            raise DeviceFaultError(self.name, told)
         return decode_motion(block, *steps)
 
     async def is_set_up(self) -> bool:
