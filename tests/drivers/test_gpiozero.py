@@ -31,6 +31,8 @@ from esair.exceptions import BadValueError, ConfigError  # noqa: E402
 pytestmark = [
     pytest.mark.real_clock,
     pytest.mark.filterwarnings("ignore::gpiozero.PWMSoftwareFallback"),
+    # As an error it would end the thread that looks.
+    pytest.mark.filterwarnings("ignore::gpiozero.DistanceSensorNoEcho"),
 ]
 
 PINS = {
@@ -122,7 +124,6 @@ async def test_each_sensor_is_read(device, factory) -> None:
 
 
 @pytest.mark.fault("D15")
-@pytest.mark.filterwarnings("ignore::gpiozero.DistanceSensorNoEcho")
 @pytest.mark.parametrize("partial", [True, False])
 async def test_a_distance_without_an_echo_is_none(factory, partial) -> None:
     """Its cable is off: gpiozero tells what it heard last, again and again."""
@@ -139,6 +140,25 @@ async def test_a_distance_without_an_echo_is_none(factory, partial) -> None:
         await asyncio.sleep(1.0)
         with pytest.raises(esair.DeviceFaultError, match="no echo comes"):
             await robot.sensors.read(right, fresh=True, timeout=3.0)
+
+
+@pytest.mark.fault("D15")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+async def test_what_nobody_looks_at_any_more_is_lost(factory, monkeypatch) -> None:
+    """The thread of gpiozero that does has ended; its last values stay for ever."""
+    pins = {"pin": 5, "partial": True}
+    eye = GpiozeroSensor(name="eye", device="MotionSensor", arguments=pins)
+    async with esair.Robot(resources=[eye], policies=[free("eye")]) as robot:
+        right = await robot.resources.register("me", "eye", esair.Access.READ)
+        await robot.sensors.read(right, fresh=True, timeout=3.0)
+        queue = eye.object.it._queue
+        monkeypatch.setattr(gpiozero.MotionSensor, "_read", lambda _: 1 / 0)
+        await asyncio.to_thread(queue.join, 3.0)
+        with pytest.raises(esair.DeviceLostError, match="does not look at it any more"):
+            await robot.sensors.read(right, fresh=True, timeout=3.0)
+        monkeypatch.undo()
+        await asyncio.sleep(1.0)
+        assert await robot.sensors.read(right, fresh=True, timeout=3.0)
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ from typing import Any, Final, NamedTuple, TypeVar, Unpack
 import gpiozero
 
 from esair.drivers.object import Arguments, Made, MadeActuator, MadeSensor
-from esair.exceptions import ConfigError
+from esair.exceptions import ConfigError, DeviceLostError
 from esair.resources import (
     HOLD,
     ActuatorSettings,
@@ -175,6 +175,18 @@ class GpiozeroSensor(MadeSensor):
         value = _known(self, device, READS)
         made = EchoSensor if device == "DistanceSensor" else getattr(gpiozero, device)
         self._reads(Made(self, made, arguments), value, limits)
+
+    def read(self) -> Any:
+        """Read it; on the thread of the object.
+
+        Raises:
+            DeviceLostError: The thread has ended by which gpiozero looks at the pin: it
+                would tell what that has seen last.
+        """
+        queue = getattr(self.object.it, "_queue", None)
+        if queue is not None and not queue.is_alive():
+            raise DeviceLostError(self.name, "gpiozero does not look at it any more")
+        return super().read()
 
 
 class GpiozeroActuator(MadeActuator):
