@@ -120,6 +120,29 @@ def test_what_is_not_there_is_named(root) -> None:
         sensor.read()
 
 
+@pytest.mark.fault("D05", "D06")
+@pytest.mark.parametrize("kind", ["hwmon", "iio"])
+def test_of_two_parts_with_one_name_the_place_is_said(root, kind) -> None:
+    """Which of them comes first changes from one start to the next."""
+    folders = {"hwmon": "class/hwmon", "iio": "bus/iio/devices"}
+    for number, place in enumerate(("1-0040", "1-0041")):
+        there = root / "devices" / place / f"{kind}{number + 7}"
+        there.mkdir(parents=True)
+        (there / "name").write_text("ina2xx")
+        (there / "power1").write_text(f"{number}")
+        if kind == "hwmon":
+            (there / "device").symlink_to("..")
+        (root / folders[kind] / there.name).symlink_to(there)
+
+    sensor = SysfsSensor(device=f"{kind}:ina2xx", value="power1")
+    with pytest.raises(DeviceFaultError, match=f"say {kind}:1-0040 or {kind}:1-0041"):
+        sensor.open()
+    for number, place in enumerate(("1-0040", "1-0041")):
+        sensor = SysfsSensor(device=f"{kind}:{place}", value="power1")
+        sensor.open()
+        assert sensor.read() == pytest.approx(number * (1e-6 if kind == "hwmon" else 1))
+
+
 @pytest.mark.parametrize("value", ["temp1", "temp1_input"])
 def test_a_value_that_the_chip_calls_faulty_is_a_fault(root, value) -> None:
     """Its diode is off, say: the number beside that flag is none."""

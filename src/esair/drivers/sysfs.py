@@ -103,17 +103,24 @@ class _OnSysfs(Resource):
         self.folder: Path | None = None
 
     def _find(self, name: str) -> Path:
-        for folder in self._folders():
-            if (
-                name in {folder.name, _text(folder / "name")}
-                or (folder / "device").resolve().name == name
-            ):
-                return folder
-        there = sorted({_text(f / "name") or f.name for f in self._folders()})
+        there = {folder: _text(folder / "name") for folder in self._folders()}
+        found = [
+            folder
+            for folder, told in there.items()
+            if name in {folder.name, told, _device_of(folder)}
+        ]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            told = " or ".join(f"{self.kind}:{_device_of(each)}" for each in found)
+            raise DeviceFaultError(
+                self.name, f"the kernel has several {self.kind} {name!r}: say {told}"
+            )
+        known = sorted({told or folder.name for folder, told in there.items()})
         raise DeviceLostError(
             self.name,
             f"the kernel has no {self.kind} {name!r}; it has "
-            + (", ".join(there) or "none at all"),
+            + (", ".join(known) or "none at all"),
         )
 
     def _folders(self) -> Iterator[Path]:
@@ -141,7 +148,8 @@ class SysfsSensor(_OnSysfs, Sensor[float]):
 
     Args:
         device: ``hwmon:NAME``, ``iio:NAME`` or ``w1:NAME``, by the name that the kernel
-            gives the part, or by that of its folder.
+            gives the part, or by that of its folder; by that of its place, such as
+            ``hwmon:1-0040``, if there are several of that name.
         value: What of it, without ``_input`` or ``_raw``: ``"temp1"``, ``"in_pressure"``.
         factor: What the value is multiplied with, beside the kernel's own scale.
         limits: Least and greatest value; what is outside is a fault of the device.
@@ -287,6 +295,12 @@ class SysfsActuator(_OnSysfs, Actuator[float]):
         steps = round(command * self._most)
         self._file.write_text(str(steps), encoding="ascii")
         return steps / self._most
+
+
+def _device_of(folder: Path) -> str:
+    """Return the name of the device whose folder it is, which is by its place."""
+    link = folder / "device"
+    return (link.resolve() if link.exists() else folder.resolve().parent).name
 
 
 def _text(path: Path) -> str:
