@@ -440,9 +440,29 @@ async def test_what_waits_gives_way_to_what_is_safe(fake_serial: Make) -> None:
     await asyncio.gather(*stops, after)
     await line.until(b"back")
 
-    assert [type(each.exception()) for each in motions] == [BusyError] * 3
+    assert [type(each.exception()) for each in motions] == [DriverStuckError] * 3
     assert line.written == b"for\nstop 1\nstop 2\nback\n"
     await line.close()
+
+
+@pytest.mark.fault("D16")
+async def test_a_request_that_waits_gives_way_to_what_is_safe(line: FakeSerial) -> None:
+    """So the safe one has its turn, and no answer is owed that it would wait for."""
+    line.on_frame = lambda message: message.replace(b"=", b":")
+    await line.open()
+    line.stall()
+    motion = asyncio.create_task(line.ask(b"speed=1", prefix=b"speed:"))
+    await asyncio.sleep(0.1)
+
+    urgency.set(Urgency(SAFE))
+    stop = asyncio.create_task(line.ask(b"speed=0", prefix=b"speed:"))
+    await asyncio.sleep(0.1)
+    line.resume()
+
+    assert await stop == b"speed:0"
+    assert asyncio.get_running_loop().time() == pytest.approx(0.2, abs=0.01)
+    assert isinstance(motion.exception(), BusyError)
+    assert list(line.sent) == [b"speed=0"]
 
 
 @pytest.mark.fault("D16")

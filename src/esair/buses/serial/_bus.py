@@ -241,7 +241,7 @@ class SerialBus(Bus):
         Raises:
             DeviceLostError: The line is gone. Nobody knows how much was sent.
             BusyError: Too many bytes wait already; or they gave way to what makes an
-                actuator safe, which waits for none. Nothing, or a part, was sent.
+                actuator safe, which waits for none. Nothing was sent.
             DriverStuckError: The device took no bytes in time. All bytes that
                 waited are thrown away, so that none of them comes late. The same
                 happens if the writer is cancelled and nobody else waits.
@@ -320,7 +320,9 @@ class SerialBus(Bus):
             NoTurnError: Others had the line all the time; nothing was sent.
             DriverStuckError: No answer in time, or the device took no bytes.
         """
-        self._connected()
+        line = self._connected()
+        if urgency.get().level >= SAFE:  # first: its turn comes with the end of that
+            self._make_way(line)
         seconds = self._seconds(timeout)
         kinds = prefix if isinstance(prefix, tuple) else (prefix,)
         request = self._exchanges.request(*kinds, timeout=seconds, answers=answers)
@@ -328,7 +330,11 @@ class SerialBus(Bus):
         async with request as exchange:
             size = self._put(self.framing.encode(payload), exchange)
             if size:
-                await self._sent(size, exchange.left)
+                try:
+                    await self._sent(size, exchange.left)
+                except BusyError:  # it gave way
+                    exchange.end()
+                    raise
             return await exchange.answer()
 
     async def _sent(self, size: int, seconds: float) -> None:
@@ -368,11 +374,15 @@ class SerialBus(Bus):
     def _make_way(self, line: Line) -> None:
         """Throw away what waits before what is safe, unless that is safe, too."""
         waiting = line.link.get_write_buffer_size()
-        # Without a delimiter what is safe would be taken for the rest of what is cut.
-        is_whole = self.resync or not line.ends_in_a_message()
-        if 0 < waiting <= self._since_safe and is_whole:
+        if not 0 < waiting <= self._since_safe:
+            return
+        is_cut = line.ends_in_a_message()
+        # Without a delimiter what is safe would be taken for the rest of that.
+        if self.resync or not is_cut:
             what = "number of bytes that wait before what is safe"
-            self._discard(line, BusyError(f"bus {self.name}", what, 0))
+            gone = BusyError(f"bus {self.name}", what, 0)
+            stuck = DriverStuckError(self.name, "write", self.write_timeout)
+            self._discard(line, stuck if is_cut else gone)
 
     def _connected(self) -> Line:
         if not self.is_open or self._line is None:
