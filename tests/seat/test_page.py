@@ -858,6 +858,43 @@ async def test_a_gamepad_drives_while_its_handle_is_held(served, chromium):
         await eventually(lambda: person.holder() == "wander")
 
 
+@pytest.mark.promise("OPS-5", "OPS-4")
+async def test_nothing_drives_whose_end_may_not_come(served, chromium):
+    """A key with a modifier, and another button of the mouse: by the wheels."""
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.actions.action_builder import ActionBuilder
+    from selenium.webdriver.common.actions.mouse_button import MouseButton
+    from selenium.webdriver.common.keys import Keys
+
+    robot = served(Wander())
+    person = Person(chromium, robot)
+    async with robot:
+        await person.opens()
+        for modifier in (Keys.META, Keys.CONTROL, Keys.ALT):
+            for key in (modifier, Keys.ARROW_DOWN):
+                await person.key(key, down=True)
+            await asyncio.sleep(0.4)
+            assert person.holder() == "wander"
+            for key in (Keys.ARROW_DOWN, modifier):
+                await person.key(key, down=False)
+        await person.drives(
+            lambda: person.key(Keys.ARROW_DOWN, down=True),
+            lambda: person.key(Keys.ARROW_DOWN, down=False),
+        )
+        await person.key(Keys.META, down=True)
+        await eventually(lambda: person.holder() == "wander")
+        await asyncio.to_thread(ActionChains(chromium).release().perform)
+        await asyncio.to_thread(ActionBuilder(chromium).clear_actions)
+
+        mouse = ActionBuilder(chromium)
+        mouse.pointer_action.move_to(await person.finds("#pad button"))
+        mouse.pointer_action.pointer_down(MouseButton.RIGHT)
+        await asyncio.to_thread(mouse.perform)
+        await asyncio.sleep(0.4)
+        assert person.holder() == "wander"
+        await asyncio.to_thread(ActionBuilder(chromium).clear_actions)
+
+
 class Valve(esair.Sensor[float]):
     rate = 20.0
     flow = esair.setting(1.0, unit="l/min", min=0.0, max=5.0)

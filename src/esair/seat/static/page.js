@@ -368,6 +368,8 @@ function commandOf([forward, left], axes, speed) {
 
 const types = (event) => ["INPUT", "SELECT"].includes(event.target.tagName);
 addEventListener("keydown", (event) => {
+  // Of a key with a modifier the end may never come: macOS tells none while Command is held.
+  if (event.metaKey || event.ctrlKey || event.altKey) return drop();
   if (types(event) || !(event.key in KEYS)) return;
   event.preventDefault();
   if (!event.repeat) hold(KEYS[event.key]);
@@ -377,6 +379,7 @@ addEventListener("keyup", (event) => {
 });
 for (const button of document.querySelectorAll("#pad button")) {
   button.onpointerdown = (event) => {
+    if (event.button !== 0) return; // a context menu keeps the end of the others
     button.setPointerCapture(event.pointerId);
     hold([Number(button.dataset.x), Number(button.dataset.y)]);
   };
