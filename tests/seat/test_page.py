@@ -677,6 +677,7 @@ async def test_in_a_browser(served, chromium):
         assert person.holder() == "operator"
         await person.key(Keys.ARROW_DOWN, down=False)
         await eventually(lambda: person.holder() == "wander")
+        assert (await person.finds("#driving")).text == "released"
 
         # What a device says is text.
         assert await asyncio.to_thread(lambda: chromium.title) == "rover - esair"
@@ -760,7 +761,7 @@ async def test_the_page_fits_where_it_is_looked_at(served, chromium, size):
         assert await person.runs(on_top, f"#{name}") == name
     await person.clicks("#halt")
     told = await person.finds("#told")
-    await eventually(lambda: "STOP was not sent" in told.text)
+    await eventually(lambda: "STOP: not sent" in told.text)
     await person.has_window(1000, 1100)
 
 
@@ -893,6 +894,49 @@ async def test_nothing_drives_whose_end_may_not_come(served, chromium):
         await asyncio.sleep(0.4)
         assert person.holder() == "wander"
         await asyncio.to_thread(ActionBuilder(chromium).clear_actions)
+
+
+@pytest.mark.long
+@pytest.mark.promise("OPS-5")
+async def test_it_drives_again_when_the_robot_is_back(served, chromium):
+    """A key that was pressed while there was no robot is over, and holds up none."""
+    from selenium.webdriver.common.keys import Keys
+
+    person = Person(chromium, served(Wander(), page=esair.Page(port=0, token=TOKEN)))
+    async with person.robot as robot:
+        await person.opens()
+        port = port_of(robot)
+    link = "return isConnected()"
+    while await person.runs(link):
+        await asyncio.sleep(0.05)
+    await person.key(Keys.ARROW_DOWN, down=True)
+    await person.key(Keys.ARROW_DOWN, down=False)
+    again = served(Wander(), page=esair.Page(port=port, token=TOKEN))
+    person.robot = again
+    async with again:
+        while await person.sees_grey():
+            await asyncio.sleep(0.05)
+        await person.drives(
+            lambda: person.key(Keys.ARROW_DOWN, down=True),
+            lambda: person.key(Keys.ARROW_DOWN, down=False),
+        )
+        await again.wheels.until(Twist(-0.3, 0.0), timeout=5.0)
+        await person.key(Keys.ARROW_DOWN, down=False)
+
+
+@pytest.mark.promise("OPS-3", "OPS-5")
+async def test_stop_tells_what_has_not_answered(served, chromium):
+    """Until the wheels have answered the page does not say that they stand."""
+    robot = served(Wander())
+    person = Person(chromium, robot)
+    async with robot:
+        await person.opens()
+        robot.wheels.stall()
+        await person.clicks("#halt")
+        told = await person.finds("#told")
+        await eventually(lambda: "STOP is sent, and not answered yet" in told.text)
+        await eventually(lambda: told.text.startswith("STOP: wheels: "), 5.0)
+        robot.wheels.resume()
 
 
 class Valve(esair.Sensor[float]):

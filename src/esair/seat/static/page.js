@@ -19,11 +19,14 @@ function isConnected() {
   return link !== null && link.readyState === WebSocket.OPEN;
 }
 
-function send(act, fields, then) {
-  if (!isConnected()) return;
+function send(act, fields, then = () => {}) {
+  if (!isConnected()) {
+    then(null, { text: "not sent: there is no connection to the robot" });
+    return;
+  }
   number += 1;
   const id = `${own}-${number}`;
-  waiting.set(id, then || (() => {}));
+  waiting.set(id, then);
   if (waiting.size > 200) waiting.delete(waiting.keys().next().value);
   link.send(JSON.stringify({ v: 1, id, act, ...fields }));
 }
@@ -74,7 +77,8 @@ function connect() {
   link.onmessage = (message) => take(JSON.parse(message.data));
   link.onclose = (event) => {
     drop();
-    lease = null;
+    for (const then of waiting.values()) then(null, { text: "not answered: the connection is gone" });
+    waiting.clear();
     if (event.code === 4401) {
       ask("the token is wrong: each start of the robot makes a new one");
     } else {
@@ -94,7 +98,6 @@ function take(found) {
     if (lease !== null && found.lapsed === lease.lease) {
       lease = null;
       drop(); // what is held must be pressed again
-      byId("driving").textContent = "released";
     }
   } else if ("ok" in found) {
     const then = waiting.get(found.id);
@@ -299,8 +302,11 @@ function operation(resource, each) {
 // What is done.
 
 byId("halt").onclick = () => {
-  tell(isConnected() ? "" : "STOP was not sent: there is no connection to the robot");
-  send("stop", { reason: "the page" });
+  tell("STOP is sent, and not answered yet");
+  send("stop", { reason: "the page" }, (found, error) => {
+    const silent = error ? [error] : found.told.filter((each) => !each.answered);
+    tell(silent.map((each) => `STOP: ${each.text}`).join("; "));
+  });
 };
 byId("mode").onchange = (event) => {
   send("mode", { name: event.target.value });
@@ -332,6 +338,7 @@ function hold(direction) {
 }
 
 function drop() {
+  if (held !== null) byId("driving").textContent = "released";
   held = null;
   if (lease === null) return;
   send("release", { lease: lease.lease });
@@ -342,7 +349,7 @@ function push() {
   if (held === null || lease === null) return;
   const command = commandOf(held, lease.axes, byId("speed").value / 100);
   send("drive", { lease: lease.lease, beat, command }, (found) => {
-    if (found) byId("driving").textContent = found.written ? JSON.stringify(found.command) : `refused by ${found.holder}: ${found.rule}`;
+    if (found && held !== null) byId("driving").textContent = found.written ? JSON.stringify(found.command) : `refused by ${found.holder}: ${found.rule}`;
   });
 }
 
