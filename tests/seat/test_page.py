@@ -559,6 +559,9 @@ def chromium():
     found.quit()
 
 
+LIVE = "return !document.body.classList.contains('silent')"
+
+
 class Person:
     """Somebody in front of the page; what it does runs in a thread of its own."""
 
@@ -570,8 +573,12 @@ class Person:
         """Open the page, and wait until it is live."""
         address = f"http://127.0.0.1:{port_of(self.robot)}/#{token_of(self.robot)}"
         await asyncio.to_thread(self.chromium.get, address)
+        await self.waits(LIVE)
+
+    async def waits(self, script, *words):
+        """Wait until a script returns true."""
         for _ in range(200):
-            if not await self.sees_grey():
+            if await self.runs(script, *words):
                 return
             await asyncio.sleep(0.05)
         raise TimeoutError
@@ -592,11 +599,7 @@ class Person:
             "const found = document.querySelector(arguments[0]);"
             "return found !== null && found.checkVisibility();"
         )
-        for _ in range(100):
-            if await self.runs(script, selector):
-                return
-            await asyncio.sleep(0.05)
-        raise TimeoutError
+        await self.waits(script, selector)
 
     async def measures(self, selector):
         """Return where it is in the window: left, top, right, bottom."""
@@ -753,10 +756,7 @@ async def test_the_page_fits_where_it_is_looked_at(served, chromium, size):
             assert await person.runs(on_top, f"#{name}") == name
         await person.clicks("#resume")
         await eventually(lambda: robot.halted is None)
-    for _ in range(100):
-        if await person.sees_grey():
-            break
-        await asyncio.sleep(0.05)
+    await person.waits(f"return !(() => {{ {LIVE} }})()")
     for name in ("halt", "link"):
         assert await person.runs(on_top, f"#{name}") == name
     await person.clicks("#halt")
@@ -906,16 +906,13 @@ async def test_it_drives_again_when_the_robot_is_back(served, chromium):
     async with person.robot as robot:
         await person.opens()
         port = port_of(robot)
-    link = "return isConnected()"
-    while await person.runs(link):
-        await asyncio.sleep(0.05)
+    await person.waits("return !isConnected()")
     await person.key(Keys.ARROW_DOWN, down=True)
     await person.key(Keys.ARROW_DOWN, down=False)
     again = served(Wander(), page=esair.Page(port=port, token=TOKEN))
     person.robot = again
     async with again:
-        while await person.sees_grey():
-            await asyncio.sleep(0.05)
+        await person.waits(LIVE)
         await person.drives(
             lambda: person.key(Keys.ARROW_DOWN, down=True),
             lambda: person.key(Keys.ARROW_DOWN, down=False),
@@ -1019,11 +1016,7 @@ async def test_it_is_grey_while_the_loop_is_blocked(served, chromium):
         grey = [when - begin for when, is_grey in seen if is_grey]
         assert grey
         assert min(grey) < 1.4
-        for _ in range(100):
-            if not await person.sees_grey():
-                break
-            await asyncio.sleep(0.05)
-        assert not await person.sees_grey()
+        await person.waits(LIVE)
 
 
 @pytest.mark.long
