@@ -618,6 +618,17 @@ class Person:
     async def clicks(self, selector):
         await asyncio.to_thread((await self.finds(selector)).click)
 
+    async def types(self, setting, text):
+        """Type the value of a setting, and go on."""
+        script = (
+            "const named = ([label]) => label.textContent.startsWith(arguments[0]);"
+            "const labels = [...document.querySelectorAll('#settings label')];"
+            "const input = labels.map((each) => [each, each.querySelector('input')])"
+            ".find(named)[1];"
+            "input.value = arguments[1]; input.onchange();"
+        )
+        await self.runs(script, f"{setting} ", text)
+
     async def key(self, key, *, down):
         from selenium.webdriver.common.action_chains import ActionChains
 
@@ -939,6 +950,8 @@ async def test_stop_tells_what_has_not_answered(served, chromium):
 class Valve(esair.Sensor[float]):
     rate = 20.0
     flow = esair.setting(1.0, unit="l/min", min=0.0, max=5.0)
+    vents = esair.setting(True)
+    way = esair.setting("in", choices=["in", "out"])
 
     def __init__(self) -> None:
         super().__init__(name="valve")
@@ -948,8 +961,8 @@ class Valve(esair.Sensor[float]):
         return 1.5
 
     @esair.operation
-    async def home(self, turns: int, speed: float = 0.5) -> str:
-        self.homed.append((turns, speed))
+    async def home(self, turns: int, speed: float = 0.5, slowly: bool = True) -> str:
+        self.homed.append((turns, speed if slowly else -speed))
         return "at home"
 
 
@@ -970,27 +983,23 @@ async def test_operations_and_settings_in_a_browser(served, chromium):
         await eventually(lambda: output.text == '"at home"')
 
         assert "l/min (0 to 5)" in (await person.finds("#settings")).text
-        await person.runs(
-            "const input = document.querySelectorAll('#settings input')[1];"
-            "input.value = arguments[0]; input.onchange();",
-            "2.5",
-        )
-        await eventually(lambda: valve.flow == 2.5)
-        await person.runs(
-            "const input = document.querySelectorAll('#settings input')[1];"
-            "input.value = arguments[0]; input.onchange();",
-            "",  # emptied is not 0
-        )
         told = await person.finds("#told")
-        await eventually(lambda: "flow" in told.text)
-        await person.runs(
-            "document.getElementById('told').textContent = '';"
-            "const input = document.querySelectorAll('#settings input')[1];"
-            "input.value = arguments[0]; input.onchange();",
-            "99",
-        )
-        await eventually(lambda: "flow" in told.text)
-        assert valve.flow == 2.5
+        for name, typed, refusal in (
+            ("flow", "2.5", ""),
+            ("flow", "", "not ''"),  # emptied is not 0
+            ("flow", "1,5", "not '1,5'"),
+            ("flow", "99", "at most 5"),
+            ("vents", "false", ""),
+            ("vents", "True", "not 'True'"),
+        ):
+            await person.types(f"valve.{name}", typed)
+            await eventually(lambda refusal=refusal: refusal in told.text)
+            await eventually(lambda refusal=refusal: bool(told.text) == bool(refusal))
+        assert (valve.flow, valve.vents) == (2.5, False)
+
+        assert "valve.way (in, out)" in (await person.finds("#settings")).text
+        await robot.resources.remove("valve")
+        await person.waits("return document.querySelector('#settings label') === null")
 
 
 @pytest.mark.long

@@ -231,29 +231,38 @@ function showProtection(found) {
 setInterval(() => send("why", {}, showProtection), 2000);
 
 const inputs = new Map();
+let settings = "";
 function showSettings(resources) {
-  for (const resource of resources) {
-    for (const each of resource.settings) {
-      const name = `${resource.name}.${each.name}`;
-      let input = inputs.get(name);
-      if (input === undefined) {
-        input = document.createElement("input");
-        const label = byId("settings").appendChild(document.createElement("label"));
-        const limits = [each.min, each.max].map((limit) => (limit === null ? "" : limit));
-        const range = limits.join("") === "" ? "" : ` (${limits.join(" to ")})`;
-        label.append(`${name} `, input, ` ${each.unit}${range}`);
-        label.title = each.doc;
-        input.onchange = () => change(name, each.type, input);
-        inputs.set(name, input);
-      }
-      if (document.activeElement !== input) input.value = String(each.value);
-    }
+  const found = resources.flatMap((resource) => resource.settings.map((each) => [`${resource.name}.${each.name}`, each]));
+  const declared = JSON.stringify(found, (key, value) => (key === "value" ? undefined : value));
+  if (declared !== settings) {
+    settings = declared;
+    inputs.clear();
+    byId("settings").replaceChildren(...found.map(setting));
+  }
+  for (const [name, each] of found) {
+    const input = inputs.get(name);
+    if (document.activeElement !== input) input.value = String(each.value);
   }
 }
 
+function setting([name, each]) {
+  const label = document.createElement("label");
+  const input = document.createElement("input");
+  const isLimited = each.min !== null || each.max !== null;
+  const range = each.choices?.join(", ") ?? (isLimited ? `${each.min ?? "…"} to ${each.max ?? "…"}` : "");
+  label.append(`${name} `, input, ` ${each.unit}${range && ` (${range})`}`);
+  label.title = each.doc;
+  input.onchange = () => change(name, each.type, input);
+  inputs.set(name, input);
+  return label;
+}
+
+// What is no number, and neither true nor false, the robot refuses: emptied is not 0.
 function valueOf(text, kind) {
-  if (kind === "float" || kind === "int") return text.trim() === "" ? null : Number(text); // emptied is not 0
-  return kind === "bool" ? text === "true" : text;
+  const word = text.trim();
+  if (kind === "bool") return word === "true" || (word === "false" ? false : text);
+  return ["float", "int"].includes(kind) && word !== "" && isFinite(word) ? Number(word) : text;
 }
 
 function change(setting, kind, input) {
