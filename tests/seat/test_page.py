@@ -907,6 +907,25 @@ async def test_nothing_drives_whose_end_may_not_come(served, chromium):
         await asyncio.to_thread(ActionBuilder(chromium).clear_actions)
 
 
+@pytest.mark.promise("OPS-5")
+async def test_an_arrow_key_after_the_speed_drives(served, chromium):
+    """The slider that a mouse has moved does not keep the keys: no speed grows by them."""
+    from selenium.webdriver.common.keys import Keys
+
+    robot = served(Wander())
+    person = Person(chromium, robot)
+    async with robot:
+        await person.opens()
+        await person.clicks("#speed")  # its middle: 52 or 53 %
+        speed = await person.runs("return document.querySelector('#speed').value")
+        await person.drives(
+            lambda: person.key(Keys.ARROW_UP, down=True),
+            lambda: person.key(Keys.ARROW_UP, down=False),
+        )
+        await robot.wheels.until(Twist(int(speed) / 100, 0.0), timeout=5.0)
+        await person.key(Keys.ARROW_UP, down=False)
+
+
 @pytest.mark.long
 @pytest.mark.promise("OPS-5")
 async def test_it_drives_again_when_the_robot_is_back(served, chromium):

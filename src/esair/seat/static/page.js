@@ -224,6 +224,7 @@ byId("actuator").onchange = (event) => {
   event.target.dataset.touched = "yes";
   event.target.blur();
 };
+byId("speed").onpointerup = (event) => event.target.blur(); // the next arrow key drives, and changes no speed
 
 function showProtection(found) {
   if (found) byId("protection").textContent = found.map((each) => each.text).join("\n\n");
