@@ -56,10 +56,12 @@ def status(*resources: dict[str, Any], halted: str | None = None) -> dict[str, A
     }
 
 
-def shown(found: dict[str, Any], *, height: int = 24, **more: Any) -> str:
-    """What 80 columns show of it."""
+def shown(
+    found: dict[str, Any], *, width: int = 80, height: int = 24, **more: Any
+) -> str:
+    """What so many columns show of it."""
     text = io.StringIO()
-    console = Console(file=text, width=80, height=height)
+    console = Console(file=text, width=width, height=height)
     console.print(picture(found, console, **more))
     return text.getvalue()
 
@@ -78,6 +80,16 @@ def test_an_actuator_tells_who_moves_it_or_why_it_stands():
     text = shown(status(wheels(holder="avoid", stands=blind)))
     assert blind in text
     assert "avoid (" not in text
+
+
+@pytest.mark.promise("OPS-2")
+@pytest.mark.parametrize("width", [80, 70, 60, 50, 40])
+def test_the_holder_is_told_where_it_is_narrow(width: int) -> None:
+    """Beside a long name and a long state; the numbers make room for it."""
+    text = shown(status(row("s" * 63, "restarting"), wheels()), width=width)
+    assert "wander (3)" in text
+    assert ("refused" in text) == (width == 80)
+    assert all(len(line) <= width for line in text.splitlines())
 
 
 @pytest.mark.promise("OPS-2")

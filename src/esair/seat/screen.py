@@ -53,6 +53,8 @@ _COLORS = {
 }
 """The color of each state and event; of others it is yellow."""
 
+_NUMBERS = ("Hz", "age", "late", "lost", "refused")
+
 Drawing = Callable[[int, int], Text]
 """Draws something beside what has happened, on so many columns and lines at most."""
 
@@ -68,7 +70,8 @@ def picture(
 ) -> RenderableType:
     """Return the picture of a robot as a screen.
 
-    Where there is not room for all components, those with a problem come first.
+    Where there is not room for all components, those with a problem come first; where
+    it is narrow, the holder before the numbers.
 
     Args:
         status: The picture of the robot.
@@ -89,10 +92,12 @@ def picture(
     table.add_column("name", no_wrap=True, min_width=8, max_width=widest)
     table.add_column("state", no_wrap=True, min_width=8)
     table.add_column("holder, value", no_wrap=True, ratio=1, overflow="ellipsis")
-    for name in ("Hz", "age", "late", "lost", "refused"):
+    # Where it is narrow the numbers make room for the holder, each with its 6 columns.
+    numbers = _NUMBERS[: max(len(_NUMBERS) - max(85 - console.width, 0) // 6, 0)]
+    for name in numbers:
         table.add_column(name, no_wrap=True, justify="right")
     for _, cells in rows:
-        table.add_row(*cells)
+        table.add_row(*cells[: 3 + len(numbers)])
     parts: list[RenderableType] = [_head(status, hint, console.width), table]
     if left > 0:
         parts.append(Text(f"{left + 1} more rows have no room", "yellow"))
