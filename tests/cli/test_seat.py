@@ -78,14 +78,14 @@ driver = "parts:Reads"
 
 @pytest.fixture
 def esair(esair_command, capsys):
-    """Run a verb; return what it prints, or its error if it ends with a code."""
+    """Run a verb; return what it prints, and its error if it ends with a code."""
 
     def run(*words, code=0):
         capsys.readouterr()
         ended = esair_command(*words)
         out, err = capsys.readouterr()
         assert ended == code, out + err
-        return out if code == 0 else err
+        return out if code == 0 else out + err
 
     return run
 
@@ -142,6 +142,7 @@ def test_a_robot_is_watched_and_steered(esair, robot):
     assert status["robot"] == "rover"
     assert "held by always" in esair("why", "motor")
     assert "held by always" in esair("why")
+    assert esair("ros", code=1) == "it has no [ros]\n"
     assert "top_speed is 0.2 m/s (at least 0.1 m/s, at most 2 m/s)" in esair(
         "set", "motor.top_speed", "0.2"
     )

@@ -92,7 +92,7 @@ def measure(
                 late = Late(title)
                 runner.run(late.run(config.build(described, make), seconds, rate))
             found.append(late)
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)
     console.print(f"{described.name}: {seconds:g} s each, {load} busy processes beside")
     console.print(_table(found))
     for told in about_computer():

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from typing import Annotated, Any
 
 from cyclopts import Parameter
-from rich.console import Console
 
+from esair.cli._errors import show
 from esair.cli._options import AsJson, Which
 from esair.cli._peers import of_status
 from esair.seat import connect
@@ -47,7 +47,7 @@ def ros(
         if machine:
             print(json.dumps(found))  # noqa: T201 - this is the output
         elif found is None:
-            Console(highlight=False).print("it has no [ros]")
+            show("it has no [ros]")
         else:
             trip = found["round_trip"]
             told = f"{found['state']}" + (f", {1000 * trip:.1f} ms" if trip else "")
