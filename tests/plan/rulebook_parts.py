@@ -248,6 +248,35 @@ class BadTaker(Brake):
     orders = esair.takes(Order)
 
 
+class AnswersAsSensor(Sonar):
+    @esair.answers
+    async def order(self, request: Order) -> int:
+        return 1
+
+
+class HasPort(Sonar):
+    other = esair.reads(float)
+
+
+class HasSetting(Drive):
+    speed = esair.setting(0.3)
+
+
+class HasOperation(Drive):
+    @esair.operation
+    async def home(self) -> None: ...
+
+
+class NoMethod(Sonar):
+    @esair.operation
+    @staticmethod
+    async def tare() -> None: ...
+
+
+class AsyncThread(esair.ThreadBehavior):
+    async def run(self) -> None: ...  # type: ignore[override]
+
+
 class BadAnswers(esair.Behavior):
     @esair.answers
     async def order(self, request: Order) -> int:  # type: ignore[misc]

@@ -175,6 +175,18 @@ CASES = [
     Case(parts.BadEvery, "only a reaction runs on every reading; here the newest wins",
          "bad_every", "sonar.every"),
     Case(parts.BadTaker, "only a behavior takes requests", "bad_taker", "orders"),
+    Case(parts.AnswersAsSensor, "only a behavior takes requests", "answers_as_sensor",
+         "order"),
+    Case(parts.HasPort, "only a behavior, a reaction or a derived sensor (esair.Derived) "
+         "has ports", "has_port", "other"),
+    Case(parts.HasSetting, "only a sensor or an actuator has settings: an attribute of an "
+         "action is plain: speed: float = 0.3", "has_setting", "speed"),
+    Case(parts.HasOperation, "only a sensor or an actuator has operations: a behavior "
+         "answers requests: esair.answers", "has_operation", "home"),
+    Case(parts.NoMethod, "an operation must be a method, with or without async",
+         "no_method", "tare"),
+    Case(parts.AsyncThread, "expected a plain function, not async: it runs in a thread",
+         "async_thread", "run"),
     Case(parts.BadAnswers, "expected a method that returns its answer, not one that "
          "yields", "bad_answers", "order"),
     Case(parts.BadAge, f"{SECONDS} 0.0", "bad_age", "sonar.max_age"),

@@ -16,7 +16,6 @@ import typing
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Any, Final
 
-from esair import abc
 from esair.abc import Component, made_of
 from esair.actions import (
     Behavior,
@@ -27,6 +26,7 @@ from esair.actions import (
     Reaction,
     Reads,
     Takes,
+    ThreadBehavior,
     Writes,
     declared_requests,
     is_request,
@@ -42,11 +42,12 @@ from esair.connections import (
 from esair.exceptions import BadValueError, ConfigError
 from esair.flaws import fields_of
 from esair.messages import Reading, Restart, Stamped, placement_of
-from esair.plan._plan import Finding, because, mistake, warning
+from esair.plan._plan import Finding, mistake, warning
 from esair.resources import (
     HOLD,
     Actuator,
     Sensor,
+    operations_of,
     settings_of,
     wrong_bus,
     wrong_operations,
@@ -56,6 +57,7 @@ from esair.values import (
     checked_class,
     hints_of,
     is_positive,
+    once_for_class,
     same_type,
     type_name,
 )
@@ -204,8 +206,6 @@ def mistakes_in_action(action: Behavior | Reaction) -> Iterator[Finding]:
     """Find what is wrong with the class of an action, or with its values."""
     for field, told in _in_action(action):
         yield mistake("declaration", action, field, told)
-    for error in mistakes_in_requests(action):
-        yield because("declaration", action, error)
 
 
 def mistyped(reaction: Reaction) -> Iterator[Finding]:
@@ -226,8 +226,33 @@ def _in_instance(component: Component) -> Iterator[tuple[str, str]]:
             yield attribute, told
 
 
+@once_for_class
+def _in_class(cls: type[Component]) -> list[tuple[str, str]]:
+    """Return each declaration that a class of this kind does not take, and why."""
+    if not issubclass(cls, Behavior):
+        found = [(n, "only a behavior takes requests") for n in declared_requests(cls)]
+    else:
+        found = list(_wrong_requests(cls))
+    if issubclass(cls, Behavior | Reaction):
+        only = "only a sensor or an actuator has"
+        told = (
+            f"{only} settings: an attribute of an action is plain: speed: float = 0.3"
+        )
+        found += ((name, told) for name in settings_of(cls))
+        told = f"{only} operations: a behavior answers requests: esair.answers"
+        found += ((name, told) for name in operations_of(cls))
+    elif not issubclass(cls, Derived):
+        told = (
+            "only a behavior, a reaction or a derived sensor (esair.Derived) has ports"
+        )
+        ports = inspect.getmembers_static(cls, lambda v: isinstance(v, Reads | Writes))
+        found += ((name, told) for name, _ in ports)
+    return found
+
+
 def _in_action(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:
     yield from _in_instance(action)
+    yield from _in_class(type(action))
     for attribute, need in action.needs.items():
         yield from wrong_port(attribute, need)
         if isinstance(action, Behavior):
@@ -244,6 +269,8 @@ def _in_action(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:
         of = type(action)
         own = [f for f in _BEHAVIOR if getattr(of, f) is not getattr(Behavior, f)]
         yield from _wrong_methods(action, own)
+        if isinstance(action, ThreadBehavior) and inspect.iscoroutinefunction(of.run):
+            yield "run", "expected a plain function, not async: it runs in a thread"
     if not isinstance(action.restart, Restart):
         yield "restart", "expected an esair.Restart"
 
@@ -284,30 +311,25 @@ def _in_reaction(reaction: Reaction) -> Iterator[tuple[str, str]]:
         yield "blind", wrong
 
 
-def mistakes_in_requests(action: abc.Action) -> list[ConfigError]:
-    """Return what is wrong with the requests that an action takes."""
-    found: list[ConfigError] = []
+def _wrong_requests(cls: type[Behavior]) -> Iterator[tuple[str, str]]:
+    """Yield what is wrong with the requests that a behavior takes."""
     by_type: dict[Any, str] = {}
-    for attribute, each in declared_requests(type(action)).items():
-        if isinstance(action, Reaction):
-            message = "only a behavior takes requests"
-        elif isinstance(each, str):
-            message = each
+    for attribute, each in declared_requests(cls).items():
+        if isinstance(each, str):
+            yield attribute, each
         elif not is_request(each.type):
-            message = (
-                f"expected a class derived from esair.Request, not {each.type!r:.80}"
-            )
+            told = f"expected a class derived from esair.Request, not {each.type!r:.80}"
+            yield attribute, told
         elif type(each.queue) is not int or each.queue < 1:
-            message = f"expected a queue of 1 or more, not {each.queue!r:.80}"
+            yield attribute, f"expected a queue of 1 or more, not {each.queue!r:.80}"
         elif type(each.newest) is not bool:
-            message = f"expected newest=True or False, not {each.newest!r:.80}"
+            told = f"expected newest=True or False, not {each.newest!r:.80}"
+            yield attribute, told
         elif each.type in by_type:
-            message = f"{each.type.__name__} is taken by {by_type[each.type]!r} already"
+            told = f"{each.type.__name__} is taken by {by_type[each.type]!r} already"
+            yield attribute, told
         else:
             by_type[each.type] = attribute
-            continue
-        found.append(ConfigError(action.name, attribute, message))
-    return found
 
 
 def wrong_derived(derived: Derived[Any]) -> Iterator[tuple[str, str]]:
@@ -370,6 +392,7 @@ def _in_resource(
         yield from _in_initial(resource)
     yield from wrong_signatures(resource)
     yield from wrong_operations(type(resource))
+    yield from _in_class(type(resource))
 
 
 def _blocks_safe(actuator: Actuator[Any]) -> Iterator[Finding]:

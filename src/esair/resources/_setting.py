@@ -150,7 +150,7 @@ def setting(
     return cast("T", Setting(default, unit, min, max, choices, doc, secret=secret))
 
 
-def settings_of(component: type[abc.Resource]) -> dict[str, Setting]:
+def settings_of(component: type[abc.Component]) -> dict[str, Setting]:
     """Return the settings that a class of resources declares, by name.
 
     What is computed is never asked, and has no rate.
@@ -374,7 +374,7 @@ def wrong_operations(component: type[abc.Resource]) -> Iterator[tuple[str, str]]
             yield name, "a method that esair calls by itself is no operation"
         elif name.startswith("_"):
             yield name, "an operation has a name without an underscore before it"
-        if not inspect.isfunction(function):
+        if not inspect.isfunction(inspect.getattr_static(component, name)):
             yield name, "an operation must be a method, with or without async"
             continue
         if inspect.isgeneratorfunction(function) or inspect.isasyncgenfunction(
