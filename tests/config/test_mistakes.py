@@ -148,6 +148,20 @@ def test_a_mistake_names_its_key_and_what_was_expected(
     assert told in project.mistakes()[key]
 
 
+@pytest.mark.parametrize("rate", ["-1.0", "nan", '"fast"'])
+def test_the_rate_of_a_part_of_min_is_told_like_any(project, rate) -> None:
+    """At its line, beside the other mistakes of the file."""
+    pins = "trigger = 1\necho = 2"
+    driver = "esair.boards.ultrasonic:UltrasonicRange"
+    project.write(
+        f'[sensor.sonar]\ndriver = "{driver}"\n{pins}\nrate = {rate}\n[robbot]\n'
+    )
+
+    told = project.mistakes()
+    assert ":5: " in told["sensor.sonar.rate"]
+    assert "robbot" in told
+
+
 @pytest.mark.parametrize("value", ["nan", "{{ linear = nan, angular = 0.0 }}"])
 def test_a_value_that_is_no_good_is_not_called_missing(project, value) -> None:
     """It is there: one mistake, one message."""

@@ -194,6 +194,7 @@ def test_a_pair_without_a_mistake(files: Files) -> None:
         ("base", "127.0.0.1", "0.0.0.0", "network.listen", "insecure = true"),
         ("base", 'name = "base"', 'name = "rover"', "network", "no peer of itself"),
         ("base", "listen", "connect", "network.connect", "listens nowhere"),
+        ("base", "listen =", "listen = 3 #", "network.listen", "a string, not 3"),
         (
             "base",
             'to = ["rover"]',

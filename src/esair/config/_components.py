@@ -111,6 +111,8 @@ def accepted_by(cls: type) -> Mapping[str, Accepted]:
         if field.kind is Any and known is not None:
             field = attrs.evolve(field, kind=known.field.kind)
         found[name] = Accepted(field, known.setting if known else None, is_keyword=True)
+    if issubclass(cls, minimal.Sensor) and "rate" in found:  # its adapter checks it so
+        found["rate"] = attrs.evolve(found["rate"], setting=settings_of(Sensor)["rate"])
     if keywords.takes_options:
         for name, kind in _options_of(cls).items():
             option = Accepted(Field(kind, required=False), is_keyword=True)

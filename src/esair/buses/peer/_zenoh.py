@@ -198,7 +198,7 @@ class _Peer:
             self.by = line.best = way
 
 
-def _paths(endpoints: Any) -> tuple[str, ...]:
+def _paths(endpoints: str | Iterable[str]) -> tuple[str, ...]:
     return tuple(map(str, [endpoints] if isinstance(endpoints, str) else endpoints))
 
 
