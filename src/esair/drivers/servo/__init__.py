@@ -324,9 +324,8 @@ class Servo(Torqued[Goal]):
         least, most = self._takes
         steps = int(min(max(least, wanted), most))
         if holds and table.limits is not None and not self._torque:
-            steps = (
-                wanted % STEPS
-            )  # turned by hand it counts on, until the torque comes
+            # Turned by hand it counts on, until the torque comes.
+            steps = wanted % STEPS
         await self._tell(
             table.goal, steps, is_safe=command == self.safe, needs_torque=True
         )
