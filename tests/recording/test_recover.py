@@ -16,7 +16,7 @@ import pytest
 
 import esair
 from esair.journal import Journal, Kind
-from esair.recording import Recorder, events_of, is_whole, recover
+from esair.recording import Recorder, events_of, facts_of, is_whole, recover
 from esair.recording._file import Segment
 from esair.recording._recover import left_cut
 
@@ -154,6 +154,18 @@ def test_the_oldest_segment_is_recovered_where_the_first_is_gone(
     found = recover(tmp_path / "run.mcap")
     assert found.path == tmp_path / "run.2-recovered.mcap"
     assert found.messages == 1
+
+
+@pytest.mark.promise("REC-3")
+@pytest.mark.real_clock
+def test_a_later_segment_that_has_not_begun_hides_no_earlier_one(
+    tmp_path: Path,
+) -> None:
+    """The power went, or the disk was full, as it was made."""
+    write(tmp_path / "run.mcap", 3)
+    (tmp_path / "run.2.mcap").write_bytes(b"")
+    assert len([*events_of(tmp_path / "run.mcap")]) == 3
+    assert facts_of(tmp_path / "run.mcap")["clock"]
 
 
 DRIVER = """

@@ -62,15 +62,15 @@ _NUMBERED = re.compile(r"(.+)\.([1-9][0-9]*)")  # The stem of a later segment
 def facts_of(path: str | Path) -> dict[str, dict[str, str]]:
     """Return the facts that a recording tells about itself, by name."""
     facts: dict[str, dict[str, str]] = {}
-    for segment in segments_of(Path(path)):
+    for place, segment in enumerate(segments_of(Path(path))):
         is_ours = False
         for part in parts_of(segment, skip_messages=True):
             if isinstance(part, Start):
                 is_ours = part.profile == PROFILE
-            elif isinstance(part, Fact) and len(facts) < FACTS:
+            elif isinstance(part, Fact) and is_ours and len(facts) < FACTS:
                 facts[part.name] = part.told
-        if not is_ours:
-            raise _not_ours(segment)
+        if not (is_ours or place):  # a later one may have been cut when it began
+            raise RecordingBrokenError(str(path), "it is no recording of esair")
     return facts
 
 
@@ -100,7 +100,7 @@ def chunks_of(path: Path) -> Generator[bytes, None, None]:
 
 def _messages_of(path: Path, encoding: str, most: int) -> Generator[bytes, None, None]:
     """Yield the messages of one encoding, a file at a time."""
-    for segment in segments_of(path):
+    for place, segment in enumerate(segments_of(path)):
         wanted: set[int] = set()
         is_ours = False
         for part in parts_of(segment):
@@ -111,12 +111,8 @@ def _messages_of(path: Path, encoding: str, most: int) -> Generator[bytes, None,
                 is_ours = part.profile == PROFILE
             elif isinstance(part, Topic) and part.encoding == encoding:
                 wanted.add(part.number)
-        if not is_ours:
-            raise _not_ours(segment)
-
-
-def _not_ours(path: Path) -> RecordingBrokenError:
-    return RecordingBrokenError(str(path), "it is no recording of esair")
+        if not (is_ours or place):  # a later one may have been cut when it began
+            raise RecordingBrokenError(str(path), "it is no recording of esair")
 
 
 def _event(data: bytes) -> Recorded | None:
