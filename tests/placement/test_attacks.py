@@ -215,6 +215,20 @@ async def test_nothing_is_left_behind() -> None:
     await until(lambda: children_of(os.getpid()) == [])
 
 
+@pytest.mark.promise("PLC-4", "ROB-5")
+async def test_robots_that_begin_at_once_all_begin() -> None:
+    """They wait for one process that makes children, each in a thread of its own."""
+
+    async def run() -> None:
+        wheels = fake_wheels()
+        async with esair.Robot(resources=[wheels], behaviors=[Drive()]):
+            await wheels.until(Twist(0.3, 0.0), timeout=10.0)
+
+    async with asyncio.timeout(20.0), asyncio.TaskGroup() as tasks:
+        for _ in range(3):
+            tasks.create_task(run())
+
+
 @pytest.mark.long
 @pytest.mark.promise("PLC-4")
 async def test_the_process_that_makes_children_is_replaced() -> None:

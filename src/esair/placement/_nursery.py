@@ -109,8 +109,10 @@ class Nursery:
 
     def wait(self) -> None:
         """Wait until it can make children, in a thread."""
-        with contextlib.suppress(OSError):
-            self._control.recv(1, socket.MSG_PEEK)
+        ready = select.poll()  # a receive would wake one alone of those who wait
+        with contextlib.suppress(ValueError):  # it is closed: nobody wants it any more
+            ready.register(self._control, select.POLLIN)
+            ready.poll()
 
     def child(self) -> Ends:
         """Ask for a child; what is told to it waits until it is there.
