@@ -138,6 +138,16 @@ class Murmurs(esair.Behavior):
         os.write(1, b"ready")
 
 
+class Notes(esair.Behavior):
+    """Goes on after an error, which it logs."""
+
+    async def run(self) -> None:
+        try:
+            raise ValueError("a stone")
+        except ValueError:
+            logging.getLogger("rover").exception("it turns:\nto the left")
+
+
 class Wants(esair.Reaction):
     """Wants what is no command when the sonar says 2."""
 

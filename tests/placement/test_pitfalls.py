@@ -23,6 +23,7 @@ from tests.placement.pitfalls import (
     Eyes,
     Looks,
     Murmurs,
+    Notes,
     Plans,
     Receives,
     Sees,
@@ -351,3 +352,16 @@ async def test_a_record_of_the_log_is_one_behind_a_line_without_an_end(
         ("ERROR", "murmurs: it is hot"),
         ("INFO", "murmurs: ready"),
     ]
+
+
+@pytest.mark.promise("PLC-6")
+async def test_an_error_in_the_log_has_its_traceback(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """A line for each line, as all of a child's log."""
+    async with esair.Robot(behaviors=[placed(Notes(), "process")]) as robot:
+        await until(lambda: state(robot, "notes") is BehaviorState.FINISHED)
+    said = [each.getMessage() for each in caplog.records if each.name == "rover"]
+    assert said[:2] == ["notes: it turns:", "notes: to the left"]
+    assert any("pitfalls.py" in each for each in said)
+    assert said[-1] == "notes: ValueError: a stone"

@@ -25,7 +25,7 @@ from typing import Any, Final, NamedTuple
 
 from esair.actions import Behavior, Reaction, adapt_action, in_loop
 from esair.codec import Kinds, declared, inner_of
-from esair.exceptions import BusyError, ConfigError, describe
+from esair.exceptions import BusyError, ConfigError
 from esair.loop import (
     NEVER,
     OwnedTasks,
@@ -538,10 +538,9 @@ class Words(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         try:
-            text = record.getMessage()
-            if record.exc_info and record.exc_info[1] is not None:
-                text = f"{text}: {describe(record.exc_info[1])}"
-            told = {"level": record.levelno, "name": record.name, "text": text[:2000]}
-            os.write(1, RECORD.encode() + json.dumps(told).encode() + b"\n")
+            told: dict[str, Any] = {"level": record.levelno, "name": record.name}
+            lines = self.format(record).splitlines()[-100:] or [""]  # a traceback, too
+            texts = (json.dumps(told | {"text": line[:2000]}) for line in lines)
+            os.write(1, "".join(f"{RECORD}{each}\n" for each in texts).encode())
         except Exception:
             self.handleError(record)
