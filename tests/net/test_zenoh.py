@@ -20,6 +20,7 @@ from tests.net.parts import Dock, Docking, Hand, Pair, Twist, free_port
 
 import esair
 from esair.buses.peer import Network, PeerBus, Tls, _line
+from esair.buses.peer._wire import LIMIT
 from esair.drivers.peer import PeerSensor
 
 pytest.importorskip("zenoh")
@@ -117,6 +118,25 @@ async def test_a_second_bus_to_a_peer_is_a_mistake_that_hurts_nobody() -> None:
         await asyncio.sleep(0.5)
         await use(pair, hand, rover)
         assert rover.resources.query("base").losses == 0
+
+
+@pytest.mark.promise("NET-6")
+async def test_a_huge_message_is_not_put_together() -> None:
+    """It would be in memory as a whole before this robot could say no."""
+    pair = on_tcp()
+    async with pair.base(), pair.rover() as rover:
+        assert await is_ready(rover, "far_wheels", 5.0)
+        send: Any = pair.to_base._send
+        send("write", bytes(LIMIT + 1))
+        async with asyncio.timeout(5.0):
+            while pair.to_rover.stats.dropped == 0:  # noqa: ASYNC110 - it has no event
+                await asyncio.sleep(0.01)
+        await asyncio.sleep(0.5)  # it may come by several ways
+        dropped = pair.to_rover.stats.dropped
+        send("write", bytes(16 * LIMIT))
+        await asyncio.sleep(0.5)
+        assert await is_ready(rover, "far_wheels", 5.0)
+        assert pair.to_rover.stats.dropped == dropped
 
 
 @pytest.mark.promise("NET-3")

@@ -442,6 +442,7 @@ class Network:
             "transport/shared_memory/enabled": False,
             "transport/link/protocols": ["tcp" if self.tls is None else "tls"],
             "transport/unicast/open_timeout": round(5000 * self.connect_timeout),
+            "transport/link/rx/max_message_size": 2 * LIMIT,  # not the usual gigabyte
         }
         if self.tls is None:
             return told
