@@ -72,6 +72,25 @@ async def test_a_topic_that_falls_silent_leaves_the_wheels_safe() -> None:
         assert asyncio.get_running_loop().time() - last <= 0.25
 
 
+@pytest.mark.promise("ROS-2", "AC-1")
+async def test_a_command_beyond_the_limits_is_left_out(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Who publishes it hears nothing of that: what comes after it drives as before."""
+    citizen = Citizen()
+    citizen.wheels.limits = {"linear": (-1.0, 1.0)}
+    async with citizen.running() as robot:
+        for _ in range(10):
+            citizen.fake.publish("/cmd_vel", twist(5.0))
+            await asyncio.sleep(0.02)
+        await publish(citizen, 0.1)
+        assert citizen.wheels.commands[-1] == Motion(0.3, 0.0)
+        assert robot.behaviors.query("ros:/cmd_vel").restarts == 0
+    lines = [each.getMessage() for each in caplog.records]
+    assert lines.count("ros:/cmd_vel: wheels: linear: expected -1 to 1, not 5") == 1
+    assert Motion(5.0, 0.0) not in citizen.wheels.commands
+
+
 @pytest.mark.promise("ROS-2")
 async def test_two_topics_have_two_priorities() -> None:
     """The higher one wins, as with any two behaviors."""
