@@ -421,6 +421,7 @@ def test_reading_an_actuator_is_refused(project) -> None:
         ("reads.sonar.max_age = 0", "behavior.avoid.reads.sonar.max_age", "> 0"),
         ("reads.sonar.maxage = 1", "behavior.avoid.reads.sonar.maxage", "'max_age'?"),
         ("writes.sonar = {{}}", "behavior.avoid.writes.sonar", "the other way round"),
+        ("reads.mute_limit = {{}}", "behavior.avoid.reads.mute_limit", "of its own"),
         (
             "writes.wheels.priority = 1.5",
             "behavior.avoid.writes.wheels.priority",

@@ -358,9 +358,15 @@ def set_profile(
         return
     if isinstance(action, Derived):
         action.set_reads(given["reads"])
-    else:
+        return
+    try:
         # Again, and not through the class: its own constructor may not hand them on.
         ProfiledAction.__init__(action, name=action.name, **given)
+    except ConfigError as error:
+        port = error.field
+        flow = next(flow for flow in FLOWS if port in given[flow])
+        told = str(error).removeprefix(f"{error.component}: {port}: ")
+        source.mistakes.add(below(keys[flow], port), told)
 
 
 def _flow_of(need: Need) -> str:
