@@ -638,6 +638,19 @@ def test_a_check_runs_and_makes_nothing(tmp_path: Path) -> None:
     assert {*sys.modules} == before
 
 
+@pytest.mark.promise("REP-3")
+@pytest.mark.parametrize("driver", ["robotz:Wave", "robots:Wawe", "nothing"])
+def test_what_has_no_source_is_not_called_repeatable(
+    tmp_path: Path, driver: str
+) -> None:
+    """A module, a class, an installed driver that is not there: it was not looked at."""
+    (tmp_path / "robots.py").write_text(Path(robots.__file__).read_text())
+    (tmp_path / "robot.toml").write_text(f'[behavior.wave]\ndriver = "{driver}"\n')
+
+    with pytest.raises(esair.ConfigError, match="there is no source of"):
+        unrepeatable(tmp_path / "robot.toml")
+
+
 @pytest.mark.long
 @pytest.mark.promise("REP-3")
 def test_the_command_names_them(tmp_path: Path) -> None:

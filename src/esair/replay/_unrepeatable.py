@@ -127,7 +127,8 @@ def unrepeatable(made_of: str | os.PathLike[str]) -> list[Unrepeatable]:
         made_of: A robot.toml, ``module:robot``, ``file.py:robot`` or a program.
 
     Raises:
-        ConfigError: There is no such file, or it cannot be read.
+        ConfigError: There is no such file, or it or the source of a class that it names
+            cannot be read.
     """
     target = str(made_of)
     if config.is_of_module(target) or target.endswith(".py"):
@@ -294,21 +295,24 @@ def _of_file(path: Path) -> Iterator[_Found]:
         driver = table.get("driver") if isinstance(table, dict) else None
         if not isinstance(driver, str):
             continue
+        code = driver
         if ":" not in driver:
             points = importlib.metadata.entry_points(group="esair.drivers")
-            driver = next((each.value for each in points if each.name == driver), "")
-        module, _, wanted = driver.partition(":")
-        places = _places(folder)
-        file = _file_of(module, places)
-        if file is None or module.partition(".")[0] == "esair":
+            code = next((each.value for each in points if each.name == driver), "")
+        module, _, wanted = code.partition(":")
+        if module.partition(".")[0] == "esair":
             continue
-        found = Source(module, file, (str(_root(file, module)), *places)).find(
-            f"{module}.{wanted}"
-        )
-        if found is not None:
-            placement = table.get("placement")
-            is_placed = _is_placed(*found) if placement is None else placement != "task"
-            yield (name, *found, is_placed)
+        places = _places(folder)
+        file, found = _file_of(module, places), None
+        if file is not None:
+            source = Source(module, file, (str(_root(file, module)), *places))
+            found = source.find(f"{module}.{wanted}")
+        if found is None:
+            told = f"there is no source of {driver!r} to be looked at"
+            raise ConfigError(str(path), f"behavior.{name}.driver", told)
+        placement = table.get("placement")
+        is_placed = _is_placed(*found) if placement is None else placement != "task"
+        yield (name, *found, is_placed)
 
 
 def _root(file: Path, module: str) -> Path:
