@@ -259,10 +259,10 @@ async def _stop(console: Console, _: Session, reason: str) -> Any:
     }
 
 
-@_act("end all halts: who writes next moves")
+@_act("end all halts: the next write moves")
 def _resume(console: Console, _: Session) -> Any:
     console.robot.resume()
-    return "who writes next moves"
+    return "the next write moves"
 
 
 @_act(

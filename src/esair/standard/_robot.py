@@ -703,7 +703,7 @@ class Robot:
         return self._halts.halt(reason, by)
 
     def resume(self) -> None:
-        """End all halts: who writes next moves. For the user alone.
+        """End all halts: the next write moves. For the user alone.
 
         Nothing from before leaves, nobody holds anything, and each actuator starts
         from its safe command.

@@ -111,7 +111,7 @@ class Halts:
         return halting
 
     def resume(self) -> None:
-        """End all halts: who writes next moves."""
+        """End all halts: the next write moves."""
         only_the_user("robot", "resume", "ends a halt")
         loop = self._loop
         if loop is None:
@@ -162,7 +162,7 @@ class Halts:
         for channel in self._channels.values():
             channel.resume()
         self._journal.publish(Kind.RESUMED, "the user")
-        _log.warning("robot %s: resumed: who writes next moves", self._name)
+        _log.warning("robot %s: resumed: the next write moves", self._name)
 
 
 def _words(reason: object) -> str:
