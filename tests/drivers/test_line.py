@@ -21,7 +21,12 @@ from esair.drivers.line import (
     encode_value,
 )
 from esair.drivers.line.fake import FakeBoard
-from esair.exceptions import ConfigError, DeviceFaultError, DriverStuckError
+from esair.exceptions import (
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+)
 from esair.messages import ResourceState
 from esair.testing import ActuatorContract, FakeSerial, SensorContract
 
@@ -319,6 +324,32 @@ async def test_after_a_loss_the_safe_command_is_the_first(line: FakeSerial) -> N
 
 @pytest.mark.virtual_clock
 @pytest.mark.promise("SC-3")
+@pytest.mark.fault("D10", "D26")
+async def test_a_board_that_tells_no_number_any_more_is_at_fault(
+    line: FakeSerial,
+) -> None:
+    """It may be silent for ever, and is not: its last number does not stay current."""
+    sensor = LineSensor(name="range", bus=line)
+    user = esair.Behavior(name="user", reads={"range": esair.reads(float)}, writes={})
+    said = [b"range=2.5\n"]
+    line.repeat(lambda: said[0], 0.1)
+    async with esair.Robot(resources=[sensor], behaviors=[user]) as robot:
+        await asyncio.sleep(0.5)
+        for _ in range(5):  # noise among numbers is left out
+            said[0] = b"range=2.x\n"
+            await asyncio.sleep(0.2)
+            said[0] = b"range=2.5\n"
+            await asyncio.sleep(0.1)
+        assert robot.resources.query("range").faults == 0
+        said[0] = b"range=nan\n"
+        await asyncio.sleep(1.0)
+        with pytest.raises((DeviceFaultError, DeviceLostError), match="no number"):
+            await user.range.read()
+        said[0] = b"range=1.5\n"
+        await asyncio.sleep(1.0)
+        assert await user.range.read() == 1.5
+
+
 async def test_what_is_no_number_keeps_no_value_current(line: FakeSerial) -> None:
     """A board that goes on speaking, of nothing, has been silent about its value."""
     sensor = LineSensor(name="range", silent_after=0.5, bus=line)

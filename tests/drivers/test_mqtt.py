@@ -17,7 +17,7 @@ import esair
 from esair.buses.mqtt import FakeMqtt, MqttBus, matches
 from esair.drivers.mqtt import MqttActuator, MqttSensor
 from esair.drivers.mqtt.fake import FakeThing
-from esair.exceptions import BadValueError, DeviceLostError
+from esair.exceptions import BadValueError, DeviceFaultError, DeviceLostError
 from esair.plan import Plan, protection
 from esair.testing import ActuatorContract, SensorContract
 
@@ -157,6 +157,26 @@ async def test_a_payload_is_a_value_or_counted(kind, way, payload, value) -> Non
             coming.cancel()
         else:
             assert await coming == value
+
+
+@pytest.mark.fault("D26")
+async def test_a_thing_that_tells_no_value_any_more_is_at_fault() -> None:
+    """As a thermometer of ESPHome that has lost its probe, and may be silent for ever."""
+    bus = FakeMqtt()
+    sensor = MqttSensor(topic="t", bus=bus)
+    async with opened(sensor):
+        values = sensor.stream()
+        coming = asyncio.ensure_future(anext(values))
+        await asyncio.sleep(0)
+        for payload in ("nan", "nan", "21.5"):
+            bus.feed("t", payload)
+        assert await coming == 21.5
+        coming = asyncio.ensure_future(anext(values))
+        await asyncio.sleep(0)
+        for _ in range(3):
+            bus.feed("t", "nan")
+        with pytest.raises(DeviceFaultError, match="3 messages in a row have no such"):
+            await coming
 
 
 @pytest.mark.parametrize("retained", [False, True])

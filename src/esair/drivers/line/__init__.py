@@ -150,8 +150,11 @@ class LineSensor(_OnLine, Sensor[float]):
             lost; it may be silent for ever if None.
 
     Attributes:
-        bad_lines: How many values were no number.
+        bad_lines: How many values were no number; without a ``silent_after`` three in a
+            row are a fault.
     """
+
+    _bad_in_row = 0
 
     def __init__(
         self,
@@ -196,15 +199,25 @@ class LineSensor(_OnLine, Sensor[float]):
         return await self._look()
 
     async def stream(self) -> AsyncIterator[float]:
-        """Yield each value that comes; what is no number is counted and left out."""
+        """Yield each value that comes; what is no number is counted and left out.
+
+        Raises:
+            DeviceFaultError: No number comes any more, but ``nan``, say, and the last
+                one would stay current for ever.
+        """
         begin = len(self.key) + 1
         with self._lines() as lines:
             async for line in heard(self, lines, self.silent_after):
                 value = _number(line[begin:])
-                if value is None:
-                    self.bad_lines += 1
-                else:
+                if value is not None:
+                    self._bad_in_row = 0
                     yield value
+                    continue
+                self.bad_lines += 1
+                self._bad_in_row += 1
+                if self.silent_after is None and self._bad_in_row >= self.fault_limit:
+                    told = f"{self._bad_in_row} values in a row are no number: {line!r:.80}"
+                    raise DeviceFaultError(self.name, told)
 
     def _lines(self) -> Inbox[bytes]:
         return self.bus.frames(f"{self.key}=".encode("ascii"), limit=WAITING)

@@ -41,7 +41,13 @@ from typing import Any, ClassVar, TypedDict, Unpack
 from esair.buses import Inbox
 from esair.buses.mqtt import Message, MqttBus, MqttLink, matches
 from esair.drivers._on_bus import check_bus, ended, heard, watching
-from esair.exceptions import BadValueError, ConfigError, DeviceLostError, describe
+from esair.exceptions import (
+    BadValueError,
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    describe,
+)
 from esair.resources import (
     HOLD,
     Actuator,
@@ -169,8 +175,11 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
             and what that has, such as ``{component = "number", min = 0, max = 1}``.
 
     Attributes:
-        bad_payloads: How many messages had no such value.
+        bad_payloads: How many messages had no such value; without a ``silent_after``
+            three in a row are a fault.
     """
+
+    _bad_in_row = 0
 
     _topic_of_announcement = "command_topic"
     counted: ClassVar[tuple[str, ...]] = ("bad_payloads",)
@@ -209,7 +218,12 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
                     return
 
     async def stream(self) -> AsyncIterator[Any]:
-        """Yield each value that comes; what has none is counted and left out."""
+        """Yield each value that comes; what has none is counted and left out.
+
+        Raises:
+            DeviceFaultError: No value comes any more, but ``nan``, say, and the last one
+                would stay current for ever.
+        """
         topics = (self.topic,) if self.status is None else (self.status, self.topic)
         with await self.bus.subscribe(*topics) as inbox:
             values = heard(self, inbox, self.silent_after, self._value_of)
@@ -221,10 +235,18 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
         if self._is_status(message) or (message.retained and not self.retained):
             return None
         try:
-            return (self._decoded(message.payload),)
+            value = self._decoded(message.payload)
         except (ValueError, LookupError, TypeError, ArithmeticError, RecursionError):
             self.bad_payloads += 1
-            return None
+            self._bad_in_row += 1
+            if self.silent_after is not None or self._bad_in_row < self.fault_limit:
+                return None
+            told = f"{self._bad_in_row} messages in a row have no such value"
+            raise DeviceFaultError(
+                self.name, f"{told}: {message.payload!r:.80}"
+            ) from None
+        self._bad_in_row = 0
+        return (value,)
 
     def _decoded(self, payload: bytes) -> Any:
         found: Any = payload.decode()
