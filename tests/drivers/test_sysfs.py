@@ -120,6 +120,23 @@ def test_what_is_not_there_is_named(root) -> None:
         sensor.read()
 
 
+def test_what_a_thermometer_tells_after_power_up_is_no_temperature(root) -> None:
+    """It is one where it was nearly as warm before, as water that is heated."""
+    told = root / "bus/w1/devices/28-0316a2795dff/temperature"
+    sensor = SysfsSensor(device="w1:28-0316a2795dff", value="temperature")
+    told.write_text("85000")
+    with pytest.raises(DeviceLostError, match="it has not measured"):
+        sensor.open()
+    told.write_text("21062")
+    sensor.open()
+    told.write_text("85000")
+    with pytest.raises(DeviceLostError, match="it has not measured"):
+        sensor.read()
+    for number in (70_000, 84_000, 85_000, 85_000):
+        told.write_text(f"{number}")
+        assert sensor.read() == pytest.approx(number / 1000)
+
+
 @pytest.mark.fault("D05", "D06")
 @pytest.mark.parametrize("kind", ["hwmon", "iio"])
 def test_of_two_parts_with_one_name_the_place_is_said(root, kind) -> None:

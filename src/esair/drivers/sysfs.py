@@ -36,6 +36,7 @@ sysfs-driver-w1_therm, sysfs-class-led, sysfs-class-pwm.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -77,6 +78,13 @@ _WHAT: Final = {
     "w1": r"([a-z]+)",
 }
 """How a name begins that is of a value, or of a bound or an average of it."""
+
+
+_UNMEASURED: Final = 85_000.0
+"""What a thermometer on 1-Wire tells after power-up, until it has measured, in m°C."""
+
+_STEP: Final = 5_000.0
+"""How far a temperature may go from one reading to the next to be believed there, in m°C."""
 
 
 class _OnSysfs(Resource):
@@ -146,6 +154,9 @@ class _OnSysfs(Resource):
 class SysfsSensor(_OnSysfs, Sensor[float]):
     """A value that the kernel measures.
 
+    A thermometer on 1-Wire tells 85 °C after power-up, until it has measured: that is a
+    temperature only if the one before was above 80 °C.
+
     Args:
         device: ``hwmon:NAME``, ``iio:NAME`` or ``w1:NAME``, by the name that the kernel
             gives the part, or by that of its folder; by that of its place, such as
@@ -184,9 +195,11 @@ class SysfsSensor(_OnSysfs, Sensor[float]):
         self._what = what[1] if what else stem
         """What it is, whichever of several, along which axis: ``in_accel``."""
         self._scale = _SCALES[self.kind].get(self._what, 1.0)
+        self._last = math.nan
 
     def open(self) -> None:
         """Find the part, and read it once."""
+        self._last = math.nan
         self.folder = self._find(self.place)
         self.read()
 
@@ -200,7 +213,10 @@ class SysfsSensor(_OnSysfs, Sensor[float]):
             raise DeviceFaultError(self.name, f"{self.device} says {fault.name}")
         for name in (f"{self.value}_input", self.value):
             if (folder / name).is_file():
-                return self._read(folder / name) * self._scale * self.factor
+                number = self._read(folder / name)
+                if self.kind == "w1":
+                    self._check_measured(number)
+                return number * self._scale * self.factor
         raw = folder / f"{self.value}_raw"
         if not raw.is_file():
             if not folder.is_dir():
@@ -208,6 +224,13 @@ class SysfsSensor(_OnSysfs, Sensor[float]):
             raise DeviceFaultError(self.name, f"{self.device} has no {self.value!r}")
         number = self._read(raw) + self._beside("offset", 0.0)
         return number * self._beside("scale", 1.0) * self._scale * self.factor
+
+    def _check_measured(self, number: float) -> None:
+        """Refuse 85 °C of a thermometer, unless it was nearly as warm before."""
+        if number == _UNMEASURED and not abs(number - self._last) < _STEP:
+            told = "it tells 85 °C, as after power-up: it has not measured"
+            raise DeviceLostError(self.name, told)
+        self._last = number
 
     def _beside(self, what: str, default: float) -> float:
         """Return what is said of the value alone, else of all values of its kind."""
