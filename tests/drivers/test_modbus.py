@@ -159,6 +159,30 @@ async def test_what_is_read_back_is_noticed_without_a_command(is_silent: bool) -
         assert unit.holding[8] == (77 if is_silent else 0)
 
 
+@pytest.mark.promise("AC-1")
+@pytest.mark.parametrize(
+    ("factor", "command", "sent"),
+    [
+        (10.0, 14.0, 10.0), (10.0, 20.0, None), (10.0, 26.0, 20.0), (10.0, -26.0, -20.0),
+        (-10.0, 26.0, 20.0), (-10.0, -14.0, -10.0), (0.1, 0.3, None), (0.1, 0.26, 0.3),
+    ],
+)  # fmt: skip
+async def test_what_was_really_told_is_returned(
+    factor: float, command: float, sent: float | None
+) -> None:
+    """In the units of the register; rounding goes beyond no limit."""
+    line, unit = make()
+    pump = ModbusActuator(
+        unit=3, register=8, safe=0.0, factor=factor, limits=(-26.0, 26.0), bus=line
+    )
+    await line.open()
+    told = await pump.write(command)
+    assert told == (None if sent is None else pytest.approx(sent))
+    raw = unit.holding[8] - (unit.holding[8] >> 15 << 16)
+    assert raw * factor == pytest.approx(command if sent is None else sent)
+    await line.close()
+
+
 class TestLine(BusContract):
     """Whose an answer is: two reads of one function cannot be told apart on RTU."""
 

@@ -84,6 +84,22 @@ def check_bus(device: Resource, kind: type[Bus], *framings: type[Framing]) -> No
     )
 
 
+def in_units(
+    command: float, unit: float, limits: tuple[float, float] | None, offset: float = 0.0
+) -> int:
+    """Return a command in whole units: the nearest, unless that is beyond a limit."""
+    units = round((command - offset) / unit)
+    sent = applied(command, units * unit + offset)
+    if limits is not None and sent is not None and not limits[0] <= sent <= limits[1]:
+        units += 1 if (sent < command) is (unit > 0) else -1
+    return units
+
+
+def applied(command: float, sent: float) -> float | None:
+    """Return what was sent instead of a command, if that had to be rounded to it."""
+    return None if math.isclose(sent, command, rel_tol=1e-6, abs_tol=1e-12) else sent
+
+
 def heard(
     device: Resource,
     inbox: Inbox[T],

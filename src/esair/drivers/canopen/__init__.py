@@ -36,6 +36,7 @@ from typing import Any, ClassVar, Required, Unpack
 import attrs
 
 from esair.drivers._files import described, narrowed
+from esair.drivers._on_bus import applied, in_units
 from esair.drivers.canopen._node import (
     CanopenNetwork,
     Emergency,
@@ -350,7 +351,7 @@ class CanopenActuator(_Object, Actuator[Any]):
                 "safe",
                 f"expected {allowed[0]:g} to {allowed[1]:g}, not {safe!r:.80}",
             )
-        self.limits = allowed
+        self.limits: tuple[float, float] | None = allowed
         self.claim: str = f"{self.variable.qualname} of node {self.node}"
         self._newest = 0
 
@@ -367,14 +368,17 @@ class CanopenActuator(_Object, Actuator[Any]):
             sdo_frames(self.node, variable.index, variable.subindex, data)
         )
 
-    async def write(self, command: Any) -> None:
-        """Write the object."""
+    async def write(self, command: Any) -> float | None:
+        """Write the object; returns what it is if it cannot be just the command."""
         self._newest += 1
         mine = self._newest
         try:
             await self._call(self._put, command, guard=lambda: mine == self._newest)
         except CallRefused:
             raise BusyError(self.name, "number of waiting writes", 1) from None
+        if self.factor is None:
+            return None
+        return applied(command, self._to_raw(command) * self.factor)
 
     def make_ready(self, remote: Any) -> None:
         """Put the safe command there."""
@@ -384,8 +388,11 @@ class CanopenActuator(_Object, Actuator[Any]):
         self._object_of(self._remote).raw = self._to_raw(command)
 
     def _to_raw(self, command: Any) -> Any:
-        raw = command if self.factor is None else command / self.factor
-        return round(raw) if self.variable.data_type in INTEGER_TYPES else raw
+        if self.factor is None:
+            return command
+        if self.variable.data_type in INTEGER_TYPES:
+            return in_units(command, self.factor, self.limits)
+        return command / self.factor
 
     def _narrowed(self, given: tuple[float, float] | None) -> Any:
         allowed = bounds(self.variable)

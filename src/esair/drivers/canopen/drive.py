@@ -50,8 +50,10 @@ from esair.buses import CanBus, Frame, Inbox
 from esair.drivers._files import narrowed
 from esair.drivers._on_bus import (
     SharedTask,
+    applied,
     ended,
     heard,
+    in_units,
     room_comes,
     shared,
     watching,
@@ -645,12 +647,17 @@ class Drive(DriveActuator, Actuator[float]):
         self.sync: float | None = self._check_sync(sync)
         self.limits: tuple[float, float] = self._allowed
 
-    async def write(self, command: float) -> None:
-        """Tell the drive its velocity, and enable it if that is not 0; or stop it."""
+    async def write(self, command: float) -> float | None:
+        """Tell the drive its velocity, and enable it if that is not 0; or stop it.
+
+        Returns the velocity in its units, if that is another one.
+        """
         if command == self.safe:
             await self._stop()
-        else:
-            await self._go(ENABLE, value=round(command / self.factor))
+            return None
+        value = in_units(command, self.factor, self.limits)
+        await self._go(ENABLE, value=value)
+        return applied(command, value * self.factor)
 
 
 def _signed(data: bytes) -> int:

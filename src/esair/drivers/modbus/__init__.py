@@ -40,7 +40,7 @@ from __future__ import annotations
 from typing import Any, Final, Literal, Required, TypedDict, Unpack, get_args
 
 from esair.buses import SerialBus
-from esair.drivers._on_bus import check_bus
+from esair.drivers._on_bus import applied, check_bus, in_units
 from esair.exceptions import (
     ConfigError,
     DeviceFaultError,
@@ -325,8 +325,10 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
             if fault.errno is not None or self.reads_back:
                 raise
 
-    async def write(self, command: Any) -> None:
+    async def write(self, command: Any) -> float | None:
         """Tell the value, and wait until the unit has confirmed it.
+
+        Returns what it was told, if the registers cannot hold just that.
 
         Raises:
             DeviceFaultError: It refuses, or confirms another value or register.
@@ -341,16 +343,15 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
                 self.name, f"it confirms what it was not told: {answer.encode().hex()}"
             )
         self._told = request
+        return (
+            None if self.is_bit else applied(command, self._raw(command) * self.factor)
+        )
 
     def _request(self, command: Any) -> ModbusPDU:
         if self.is_bit:
             return WriteSingleCoilRequest(address=self.register, bits=[bool(command)])
-        number: Any = command / self.factor
-        if not self.kind.startswith("float"):
-            least, most = self._range()  # of 64 bits no float is the greatest
-            number = min(max(least, round(number)), most)
         registers = ModbusClientMixin.convert_to_registers(
-            number,
+            self._raw(command),
             self._type,
             word_order=self.word_order,
         )
@@ -359,6 +360,13 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
             make = WriteSingleRegisterRequest
         request: ModbusPDU = make(address=self.register, registers=registers)
         return request
+
+    def _raw(self, command: float) -> float:
+        """Return the number in the registers."""
+        if self.kind.startswith("float"):
+            return command / self.factor
+        least, most = self._range()  # of 64 bits no float is the greatest
+        return min(max(least, in_units(command, self.factor, self.limits)), most)
 
     def _range(self) -> tuple[int, int]:
         """Return what the whole numbers of its type are."""

@@ -16,6 +16,7 @@ from __future__ import annotations
 from typing import Unpack
 
 from esair.drivers._files import narrowed
+from esair.drivers._on_bus import applied, in_units
 from esair.drivers.servo import CURRENT, VELOCITY, Torqued, TorquedSettings
 from esair.drivers.servo._bus import Entry
 from esair.exceptions import ConfigError
@@ -29,26 +30,25 @@ class _Turned(Torqued[float]):
 
     safe: float = 0.0
 
+    limits: tuple[float, float]
     _entry: Entry
-
-    def _units(self, command: float) -> int:
-        raise NotImplementedError
+    _unit: float
 
     def safe_frames(self) -> SafeFrames:
         """The number that is safe."""
         entry = self._entry
         return SafeFrames([self.bus.packet(self.id, entry.address, 0, entry.size)])
 
-    async def write(self, command: float) -> None:
-        """Tell the servo, with torque from the first command that is not safe."""
+    async def write(self, command: float) -> float | None:
+        """Tell the servo, with torque from the first command that is not safe.
+
+        Returns the command in the units of its table, if that is another one.
+        """
         await self._check_set_up()
         is_safe = command == self.safe
-        await self._tell(
-            self._entry,
-            self._units(command),
-            is_safe=is_safe,
-            needs_torque=not is_safe,
-        )
+        units = in_units(command, self._unit, self.limits)
+        await self._tell(self._entry, units, is_safe=is_safe, needs_torque=not is_safe)
+        return applied(command, units * self._unit)
 
 
 class ServoVelocity(_Turned):
@@ -69,13 +69,10 @@ class ServoVelocity(_Turned):
     ) -> None:
         super().__init__(**settings)
         self._entry = self.bus.table.velocity
-        steps = (1 << 8 * self._entry.size - 1) - 1
-        most = steps * self.bus.table.velocity_unit
+        self._unit = self.bus.table.velocity_unit
+        most = ((1 << 8 * self._entry.size - 1) - 1) * self._unit
         within = narrowed(self.name, "limits", limits, (-most, most), by="a servo")
         self.limits: tuple[float, float] = within
-
-    def _units(self, command: float) -> int:
-        return round(command / self.bus.table.velocity_unit)
 
 
 class ServoCurrent(_Turned):
@@ -109,8 +106,5 @@ class ServoCurrent(_Turned):
             raise ConfigError(self.name, "unit", f"expected A, above 0, not {unit!r}")
         if max(map(abs, limits)) > unit * 0x7FFF:
             raise ConfigError(self.name, "limits", f"a servo has less than {limits!r}")
-        self.unit = unit
+        self.unit = self._unit = unit
         self.limits: tuple[float, float] = limits
-
-    def _units(self, command: float) -> int:
-        return round(command / self.unit)

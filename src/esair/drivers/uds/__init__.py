@@ -34,7 +34,14 @@ from collections.abc import Callable
 from typing import Any, Final, Literal, Required, TypedDict, Unpack
 
 from esair.buses import CanBus, Exchanges, Frame, Inbox
-from esair.drivers._on_bus import SharedTask, check_bus, room_comes, shared
+from esair.drivers._on_bus import (
+    SharedTask,
+    applied,
+    check_bus,
+    in_units,
+    room_comes,
+    shared,
+)
 from esair.exceptions import (
     BadValueError,
     BusyError,
@@ -304,14 +311,14 @@ class UdsActuator(_OnUnit, Actuator[float]):
         raw: Any = (command - self._offset) / self._scale
         try:
             if self._layout.format[-1:] not in "efd":
-                raw = round(raw)
+                raw = in_units(command, self._scale, self.limits, self._offset)
             return self._layout.pack(raw)
         except (struct.error, OverflowError) as error:
             told = f"{command!r} does not fit {self._layout.format!r}"
             raise BadValueError(self.name, "command", told) from error
 
-    async def write(self, command: float) -> None:
-        """Control or write the value.
+    async def write(self, command: float) -> float | None:
+        """Control or write the value; returns it if its layout cannot hold just that.
 
         Raises:
             DeviceFaultError: The unit refuses.
@@ -322,6 +329,8 @@ class UdsActuator(_OnUnit, Actuator[float]):
             await self._control(b"\x03" + data)
         else:
             await self._ask(services.WriteDataByIdentifier, self._did + data)
+        (raw,) = self._layout.unpack(data)
+        return applied(command, raw * self._scale + self._offset)
 
     async def _control(self, data: bytes) -> None:
         await self._ask(services.InputOutputControlByIdentifier, self._did + data)
