@@ -2,7 +2,8 @@
 
 A part is named by what the kernel calls it, not by a number that changes with the order in
 which things were found; a value is in plain units (degrees Celsius, volts, amperes, watts,
-percent of humidity, metres a second squared)::
+percent of humidity, metres a second squared), but a pressure is in kPa, as the kernel has
+it::
 
     [sensor.chip]
     driver = "sysfs"

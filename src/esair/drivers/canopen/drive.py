@@ -549,7 +549,8 @@ class DriveReading:
     """What a drive measures, and how it is.
 
     Attributes:
-        position: In rad, or the unit that its factor gives.
+        position: In rad, or the unit that its factor gives. A drive counts in 32 bits:
+            beyond them it goes on from the other end.
         velocity: In rad/s, or the unit that its factor gives.
         state: Its state.
     """
