@@ -45,12 +45,12 @@ class Avoid(Reaction):
 class Board:
     """A linked board whose line is two lists of bytes."""
 
-    def __init__(self, armed=True, bumper=None):
+    def __init__(self, armed=True, bumper=None, more=()):
         self.motor, self.bumper = Motor(), bumper or Bumper()
         orders = link.from_host((self.motor,))
         self.loop = Loop(
             [Avoid()] + orders,  # noqa: RUF005
-            [self.bumper, link.Host(link.HOST)],
+            [self.bumper] + list(more) + [link.Host(link.HOST)],  # noqa: RUF005
             [self.motor],
             rate=1000 // STEP_MS,
             armed=armed,
@@ -100,6 +100,49 @@ def stuffed(payload):
             piece = piece[254:]
         found += bytes([len(piece) + 1]) + piece
     return bytes(found + b"\0")
+
+
+def told(board):
+    """What the board has said since the last time: messages without their checksums."""
+    found = []
+    for each in b"".join(board.said).split(b"\0"):
+        at, data = 0, b""
+        while at < len(each):
+            code = each[at]
+            data += each[at + 1 : at + code] + b"\0" * (code < 255)
+            at += code
+        if data:
+            found.append(data[:-5])
+    del board.said[:]
+    return found
+
+
+class Row(Sensor):
+    """As many numbers as go over the line in half a kilobyte, and a bit."""
+
+    rate: "float | None" = 1
+    count = 560 // (8 if link.FLOAT == "d" else 4)
+
+    def read(self):
+        return [1.5] * self.count
+
+
+def readings(rows, seconds):
+    """How many times each of some rows has been told to a host, and told to be missing."""
+    board = Board(more=rows)
+    board.step(3, [ASK])
+    told(board)
+    names = [each.name for each in board.link.sensors]
+    places = [names.index(each.name) for each in rows]
+    board.step(1, [b"r" + b"".join([bytes((each, 100, 0)) for each in places])])
+    found = [[0, 0] for _ in rows]
+    for _ in range(seconds * 10 + 5):
+        board.step(1, [BEAT])
+        board.step(4)
+        for each in told(board):
+            if each[0] == 115:
+                found[places.index(each[1])][each[2] == 120] += 1
+    return board, found
 
 
 BEAT, ASK, OTHER = "a beat", "one that asks for the names", "one of another version"
@@ -504,3 +547,34 @@ def attack_no_memory_is_a_fault_and_safe():
 
 def attacks():
     return sorted(name for name in globals() if name.startswith("attack_"))
+
+
+def attack_readings_that_fit_in_no_message_together_go_one_by_one():
+    """Each row has a reading a second: none is lost to another one's size."""
+    board, found = readings([Row("left"), Row("right")], 10)
+    assert board.loop.faults == board.line.lost == 0, board.loop.fault
+    (left, no_left), (right, no_right) = found
+    assert 9 <= min(left, right) <= max(left, right) <= 12, found
+    assert no_left == no_right == 0, found
+
+
+def attack_a_reading_that_fits_in_no_message_hides_no_other():
+    """It is said to be missing, and why; the others go on."""
+    wide = Row("wide")
+    wide.count *= 2
+    board, found = readings([Row("left"), wide, Row("right")], 10)
+    (left, _), (whole, missing), (right, _) = found
+    assert min(left, right, missing) >= 9, found
+    assert whole == 0, found
+    assert board.loop.fault[0] == "link of wide", board.loop.fault
+
+
+def attack_a_line_that_is_too_slow_is_shared():
+    """Rows of each step: more than the line takes, and each gets its turns."""
+    rows = [Row("left"), Row("middle"), Row("right")]
+    for each in rows:
+        each.rate = None
+    board, found = readings(rows, 10)
+    counts = [count for count, _ in found]
+    assert 20 <= min(counts) >= max(counts) - 2, found
+    assert board.line.lost == 0

@@ -316,5 +316,5 @@ def test_a_link_costs_little(found, of: str) -> None:
     assert faults == 0
     assert mean <= 2 * bare[0]
     assert worst <= 3 * bare[1]
-    assert size - bare[2] <= 200
+    assert size - bare[2] <= 120
     assert sent <= V1 / 2

@@ -15,7 +15,8 @@ than the next step, but for its first. All numbers are little-endian::
     b VERSION flags cause days:H now_ms:I [late:I refused:I faults:I damaged:H lost:H
       [fault]]                         how it is; flags: 1 armed, 2 floats are doubles;
                                        the counts when they change, and each second
-    s (index value)...                 readings; `x` for a sensor that gives none
+    s (index value)...                 readings; `x` for a sensor that gives none, or one
+                                       that no message takes
     a (place what)...                  what came of commands: `T` done, `w` and a value done
                                        so far, or who is against it, and how: `h`, `b`, `g`
                                        and a name, or a letter alone
@@ -82,8 +83,6 @@ REFUSAL = b"B\0[%d, 0]" % VERSION
 FLOAT = "d" if 1.0 + 2.0**-30 != 1.0 else "f"
 """How a float goes over the line: as the board has them."""
 
-
-_ZEROS = bytes(2 * PIECE)
 _FORMS = {ord(each): "<" + each for each in "fdiq"}
 _PAIRS = {ord(each): "<2" + each for each in "fd"}
 _SIZES = {ord(each): 1 + struct.calcsize("<" + each) for each in "fdiq"}
@@ -246,10 +245,9 @@ class Link:
         self.sensors: list[Any] = [
             each for each in loop.inputs.values() if each is not self.host
         ]
-        count = len(self.sensors)
-        self.every: list[int] = [0] * count  # what the computer asks for, in ms
-        self.due: list[int] = [0] * count
-        self.told: list[int] = [-1] * count
+        # What the computer asks for, in turns: index, interval, when it is due, the time
+        # of the reading that was told, sensor.
+        self.asked: list[Any] = []
         self.ends: int = -1  # then the first command is no longer good; -1: none is
         self.beat: int = 0
         self.rest: int = 0  # until then there is nothing to tell
@@ -261,8 +259,7 @@ class Link:
         self.waits: int = 0  # for how many steps it, or one before, has waited
         for order in orders:
             order.output = loop.outputs[order.target]
-        self.gap: int = 1000000 // loop.every
-        self.packet: bytearray = bytearray(LONGEST)
+        self.packet: bytearray = bytearray(LONGEST - 4)
         self.message: bytearray = bytearray(LONGEST)
         self.view: memoryview[int] = memoryview(self.message)
         self.sent: memoryview[int] = memoryview(self.packet)
@@ -272,10 +269,14 @@ class Link:
     def __call__(self) -> None:
         """Do what is due after a step; what fails is a fault, and stops no reflex."""
         try:
-            if self.ends >= 0 and self.loop._ms - self.ends & _MASK < _HALF:
+            now = self.loop._ms
+            if self.ends >= 0 and now - self.ends & _MASK < _HALF:
                 self._end()
             self._hear()
-            self._tell()
+            if (self.answer is not None or self.came >= 0) and self._reply(now):
+                return
+            if not 0 < self.rest - now <= BEAT_MS:
+                self._tell(now)
         except Exception as error:
             self.loop.note("link", error)
 
@@ -291,54 +292,68 @@ class Link:
                 ):
                     self.ends = order.ends
 
-    def _tell(self) -> None:
-        """Send one message: an answer, a beat, or the readings that are asked for."""
-        now = self.loop._ms
+    def _reply(self, now: int) -> bool:
+        """Send what is to be told, or an answer that is due; tell whether it was sent."""
         if self.answer is not None:
             data, self.answer = self.answer, None
             self.packet[: len(data)] = data
             self._send(len(data))
-            return
-        if self.came >= 0:
-            # Others have their turn first, and what goes on coming is answered in one.
-            self.waits += 1
-            if self.waits > 1 and (self.came != now or self.waits > 3):
-                self._answer(now)
-                return
-        if 0 < self.rest - now <= BEAT_MS:
-            return
+            return True
+        # Others have their turn first, and what goes on coming is answered in one.
+        self.waits += 1
+        if self.waits < 2 or (self.came == now and self.waits < 4):
+            return False
+        self._answer(now)
+        return True
+
+    def _tell(self, now: int) -> None:
+        """Send a beat, or the readings that are asked for, in one message."""
         ahead = self.beat - now
         if ahead <= 0 or ahead > BEAT_MS:
             self.beat = now + BEAT_MS
             self._beat(now)
             return
+        if self.line.used:  # what waits behind other messages is no news
+            return
         rest = ahead
-        packet, due = self.packet, self.due
-        # One that came in a step of a beat, or of an answer, goes in the next.
-        at, fresh = 1, now - 4 * self.gap
-        i = -1
-        for gap in self.every:  # what `enumerate` makes would be new in each step
-            i += 1  # noqa: SIM113
-            if gap:
-                ahead = due[i] - now
-                if not 0 < ahead <= gap:
-                    node = self.sensors[i]
-                    if fresh <= node._ms != self.told[i]:
-                        self.told[i] = node._ms
-                        ahead += gap
-                        if not 0 < ahead <= gap:
-                            ahead = gap
-                        due[i] = now + ahead
+        # One that came in a step of a beat, or of an answer, goes in a later one.
+        packet, at, fresh = self.packet, 1, now - 12000000 // self.loop.every
+        for turn in self.asked:
+            i, gap, due, told, node = turn
+            ahead = due - now
+            if not 0 < ahead <= gap:
+                if fresh <= node._ms != told:
+                    try:
                         packet[at] = i
                         at = packed(packet, at + 1, node.value)
-                    else:
-                        ahead = 0
-                if ahead < rest:
-                    rest = ahead
+                    except Exception as error:
+                        rest = 0
+                        self._cut(turn, at, error)
+                        break
+                    turn[3] = node._ms
+                    ahead += gap
+                    if not 0 < ahead <= gap:
+                        ahead = gap
+                    turn[2] = now + ahead
+                else:
+                    ahead = 0
+            if ahead < rest:
+                rest = ahead
         self.rest = now + rest
         if at > 1:
             packet[0] = 115  # s
             self._send(at)
+
+    def _cut(self, turn: "Any", at: int, error: Exception) -> None:
+        """Let a reading that finds no room be the next one, or leave it out alone."""
+        if at > 1:
+            place = self.asked.index(turn)
+            self.asked = self.asked[place:] + self.asked[:place]
+        else:
+            i, gap, _, _, node = turn
+            turn[2:4] = self.loop._ms + gap, node._ms
+            self.answer = bytes([115, i, 120])  # s, x
+            self.loop.note("link of " + node.name, error)
 
     def _answer(self, now: int) -> None:
         """Say what came of the commands that a step has had by now."""
@@ -426,28 +441,27 @@ class Link:
             self.counts, self.faults = counts, loop.faults
         self._send(at)
         if now - self.host._ms > SILENCE_MS:
-            self.every = [0] * len(self.every)  # nobody reads
+            self.asked = []  # nobody reads
         gone = b""
-        for i in range(len(self.every)):
-            node = self.sensors[i]
-            if self.every[i] and now - max(0, node._ms) > 3000000 // node.pace:
+        for i, _, _, _, node in self.asked:
+            if now - max(0, node._ms) > 3000000 // node.pace:
                 gone += bytes([i, 120])  # x
         if gone:
             self.answer = b"s" + gone
 
     def _send(self, count: int) -> None:
         """Give the first bytes of the packet to the line, with checksum and stuffing."""
-        packet, line = self.packet, self.line
-        struct.pack_into("<I", packet, count, crc32(self.sent[:count]) & 0xFFFFFFFF)
-        count += 4
-        size = count + 2 + count // 254
+        line, data = self.line, self.sent[:count]
+        size = count + 6 + (count + 4) // 254
         size += -size % PIECE
         if not line.has_room(size):
             return
         out, code = line.buffer, line.used
         line.used = code + size
         end = code + 1 + count
-        out[code + 1 : end] = self.sent[:count]
+        out[code + 1 : end] = data
+        struct.pack_into("<I", out, end, crc32(data))
+        end += 4
         at = code
         while at < end:
             at = out.find(b"\0", code + 1, end)
@@ -459,17 +473,20 @@ class Link:
                 end += 1
             out[code] = at - code
             code = at
-        out[end : line.used] = _ZEROS[: line.used - end]
+        end = line.used
+        while at < end:
+            out[at] = 0
+            at += 1
 
     def _hear(self) -> None:
-        """Take what the line has brought, one message at most; more if they are late."""
-        line = self.line
-        came = line.came
-        for _ in came(0):
+        for _ in self.line.came(0):
+            self._take()
             break
-        else:
-            return
-        read, one, message = line.read, line.one, self.message
+
+    def _take(self) -> None:
+        """Take what the line has brought, one message at most; more if they are late."""
+        line, message = self.line, self.message
+        came, read, one = line.came, line.read, line.one
         used = min(self.used, LONGEST - AT_ONCE)  # what is longer is none
         for _ in range(AT_ONCE):
             if not read(one):
@@ -508,7 +525,7 @@ class Link:
                 message[at:used] = message[at + 1 : used + 1]
                 at += code - 1
         end = used - 4
-        if at != used or end < 2 or crc32(self.view[1:used]) & 0xFFFFFFFF != _WHOLE:
+        if at != used or end < 2 or crc32(self.view[1:used]) != _WHOLE:
             return False
         kind = message[1]
         if kind == 119 and self.version == VERSION:  # w
@@ -545,7 +562,14 @@ class Link:
             self.version, self.answer = 1, REFUSAL
         elif kind == 114 and end % 3 == 2 and self.version == VERSION:  # r
             for at in range(2, end, 3):
-                self.every[message[at]] = message[at + 1] | message[at + 2] << 8
+                i = message[at]
+                for turn in self.asked:
+                    if turn[0] == i:
+                        break
+                else:
+                    turn = [i, 0, 0, -1, self.sensors[i]]
+                    self.asked.append(turn)
+                turn[1] = message[at + 1] | message[at + 2] << 8
             self.rest = 0
         else:
             return False
