@@ -273,6 +273,10 @@ class NoMethod(Sonar):
     async def tare() -> None: ...
 
 
+class NotCalled(esair.Behavior):
+    wheels = esair.writes
+
+
 class AsyncThread(esair.ThreadBehavior):
     async def run(self) -> None: ...  # type: ignore[override]
 

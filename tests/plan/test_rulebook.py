@@ -185,6 +185,8 @@ CASES = [
          "answers requests: esair.answers", "has_operation", "home"),
     Case(parts.NoMethod, "an operation must be a method, with or without async",
          "no_method", "tare"),
+    Case(parts.NotCalled, "expected esair.writes(...), not the function",
+         "not_called", "wheels"),
     Case(parts.AsyncThread, "expected a plain function, not async: it runs in a thread",
          "async_thread", "run"),
     Case(parts.BadAnswers, "expected a method that returns its answer, not one that "

@@ -29,7 +29,11 @@ from esair.actions import (
     ThreadBehavior,
     Writes,
     declared_requests,
+    guards,
     is_request,
+    reads,
+    takes,
+    writes,
 )
 from esair.codec import CodecError, Kinds, declared, encode, inner_of
 from esair.connections import (
@@ -48,6 +52,7 @@ from esair.resources import (
     Actuator,
     Sensor,
     operations_of,
+    setting,
     settings_of,
     wrong_bus,
     wrong_operations,
@@ -247,6 +252,13 @@ def _in_class(cls: type[Component]) -> list[tuple[str, str]]:
         )
         ports = inspect.getmembers_static(cls, lambda v: isinstance(v, Reads | Writes))
         found += ((name, told) for name, _ in ports)
+    makers = (reads, writes, guards, takes, setting)
+    for name, value in inspect.getmembers_static(cls):
+        found += (
+            (name, f"expected esair.{each.__name__}(...), not the function")
+            for each in makers
+            if value is each
+        )
     return found
 
 
