@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import sys
 from typing import Any
 
 import attrs
 import pytest
-from tests.ros.parts import TWIST, Citizen, Count, Done, Light, Motion, twist
+from tests.ros.parts import STILL, TWIST, Citizen, Count, Done, Light, Motion, twist
 
 import esair
 from esair.buses.ros import Link, form_of
@@ -89,6 +90,24 @@ async def test_a_command_beyond_the_limits_is_left_out(
     lines = [each.getMessage() for each in caplog.records]
     assert lines.count("ros:/cmd_vel: wheels: linear: expected -1 to 1, not 5") == 1
     assert Motion(5.0, 0.0) not in citizen.wheels.commands
+
+
+@pytest.mark.promise("ROS-2", "SC-3")
+@pytest.mark.parametrize("seconds", [0.3, 3.0, 60.0])
+async def test_a_topic_that_is_no_number_for_a_while_drives_again(
+    seconds: float,
+) -> None:
+    """However long: who publishes it is put right, and nobody restarts a sensor for that."""
+    citizen = Citizen()
+    async with citizen.running() as robot:
+        await publish(citizen, 0.1)
+        for _ in range(round(seconds * 50)):
+            citizen.fake.publish("/cmd_vel", twist(math.nan))
+            await asyncio.sleep(0.02)
+        assert citizen.wheels.commands[-1] == STILL
+        await publish(citizen, 2.2)
+        assert citizen.wheels.commands[-1] == Motion(0.3, 0.0)
+        assert robot.resources.query("cmd_vel").state is esair.ResourceState.READY
 
 
 @pytest.mark.promise("ROS-2")

@@ -36,7 +36,7 @@ from esair.exceptions import (
 )
 from esair.flaws import unsound
 from esair.loop import clock_of
-from esair.messages import Refused
+from esair.messages import Refused, Restart
 from esair.resources import HOLD, Actuator, ActuatorSettings, Sensor, SensorSettings
 from esair.values import fits, is_positive
 
@@ -44,6 +44,9 @@ __all__ = ["Peer", "PeerActuator", "PeerSensor", "PeerStatus"]
 
 _FIRST: Final = 0.6
 """How long an opening waits for what the peer says of a sensor, in seconds."""
+
+_AGAIN: Final = Restart(max=1, retry=2.0)
+"""What is wrong there may be right again at any time, and nobody replugs a peer."""
 
 _BUILT_IN: Final = {
     each.__name__: each for each in (bool, int, float, str, dict, tuple)
@@ -118,6 +121,7 @@ class PeerSensor(Sensor[Any]):
     """
 
     bus: PeerBus
+    restart: Restart = _AGAIN
 
     def __init__(
         self,
@@ -194,6 +198,7 @@ class PeerActuator(Actuator[Any]):
     """
 
     bus: PeerBus
+    restart: Restart = _AGAIN
     safe: Any = HOLD
     own_timeout: float | None = 0.2
     deadline: float = 0.5
