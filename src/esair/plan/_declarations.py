@@ -51,6 +51,7 @@ from esair.resources import (
     HOLD,
     Actuator,
     Sensor,
+    flaws_of,
     operations_of,
     setting,
     settings_of,
@@ -385,9 +386,7 @@ def _in_resource(
 ) -> Iterator[tuple[str, str]]:
     yield from _in_plain(resource, _OF_RESOURCE)
     yield from _in_limits(resource)
-    for name, described in settings_of(type(resource)).items():
-        if told := described.misdeclared():
-            yield name, told
+    yield from flaws_of(type(resource))
     if resource.identity is not None and not resource.identifies:
         yield "identity", "its class has no identify to compare it with"
     if wrong_one := wrong_bus(type(resource), resource.bus):

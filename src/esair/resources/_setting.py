@@ -72,8 +72,9 @@ class Setting:
         """The type that values of this setting have."""
         return type(self.default)
 
-    def misdeclared(self) -> str:
-        """Say what is wrong with its limits, or its default; nothing if it is sound."""
+    @property
+    def flaw(self) -> str:
+        """What is wrong with its limits, or its default; empty if it is sound."""
         if any(bound != bound for bound in (self.min, self.max)):  # NaN
             return "its least or greatest value is not a number"
         wrong = "" if self.default is None else self._wrong(self.default)
@@ -165,6 +166,13 @@ def settings_of(component: type[abc.Component]) -> dict[str, Setting]:
     if getattr(component, "is_computed", False):
         found.pop("rate", None)
     return found
+
+
+@once_for_class
+def flaws_of(component: type[abc.Resource]) -> tuple[tuple[str, str], ...]:
+    """Return the settings that a class declares wrongly: what, and why."""
+    flaws = ((name, each.flaw) for name, each in settings_of(component).items())
+    return tuple(each for each in flaws if each[1])
 
 
 def shown(resource: abc.Resource, values: Mapping[str, object]) -> dict[str, object]:
