@@ -578,3 +578,15 @@ def attack_a_line_that_is_too_slow_is_shared():
     counts = [count for count, _ in found]
     assert 20 <= min(counts) >= max(counts) - 2, found
     assert board.line.lost == 0
+
+
+def attack_all_names_that_a_message_takes_are_told():
+    names = "bumper,%s;motor"
+    name = "x" * (link.LONGEST - 13 - len(names) + 2)
+    board = Board(more=[Row(name)])
+    board.step(5, [ASK])
+    board.step(5)
+    found = [each[9:].decode() for each in told(board) if each[0] == 110]
+    assert len(found[0]) == link.LONGEST - 13, found
+    assert name in found[0], found
+    assert board.loop.faults == 0, board.loop.fault

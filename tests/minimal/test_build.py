@@ -12,6 +12,7 @@ import pytest
 
 import esair.boards.stand_in
 from esair import firmware
+from esair.drivers.board.wire import NAMES
 from esair.exceptions import ConfigError
 
 ROOT = Path(__file__).parents[2]
@@ -491,6 +492,20 @@ def test_a_link_has_no_more_actuators_than_it_tells_apart(tmp_path) -> None:
     told = [str(each) for each in caught.value.exceptions]
     assert len(told) == 2
     assert "actuator.m31: a link has 32 actuators at most" in told[0]
+
+
+def test_a_link_has_no_more_names_than_it_tells_in_one_message(tmp_path) -> None:
+    """Longer ones in all are refused: no computer would ever hear one of them."""
+    names = [f"m{n}".ljust(58, "x") for n in range(9)]
+    names.append("m" * (NAMES + 1 - len(",".join(["sonar", "motor", *names, ""]))))
+    path = simple(
+        tmp_path, **{f"actuator_{each}": "simple_parts:Motor" for each in names}
+    )
+
+    with pytest.raises(ExceptionGroup, match="does not fit") as caught:
+        firmware.build(path, tmp_path / "board", link=True)
+    (told,) = caught.value.exceptions
+    assert "have 596 letters in all, a link tells 595" in str(told)
 
 
 def test_a_pin_that_the_board_does_not_have_is_told(micropython, tmp_path) -> None:

@@ -13,7 +13,7 @@ import attrs
 
 from esair import minimal
 from esair.config import ConfigFileError, Lines, keywords_of, load, searched_first
-from esair.drivers.board.wire import PLACES
+from esair.drivers.board.wire import NAMES, PLACES
 from esair.exceptions import ConfigError
 from esair.firmware._boards import BOARDS, Board
 from esair.firmware._fit import (
@@ -125,6 +125,14 @@ def build(
         modules.add("esair.boards.link", "")
         for part in [each for each in parts if each.kind == "actuator"][PLACES:]:
             misfit(part.key, f"a link has {PLACES} actuators at most: give it a board")
+        names = [part.made.name for part in parts if part.kind != "behavior"]
+        size = len(",".join(names))
+        if size > NAMES:
+            misfit(
+                "",
+                f"the names of sensors and actuators have {size} letters in all, "
+                f"a link tells {NAMES}: give it shorter ones, or a board more",
+            )
     with searched_first(path.parent):
         for part in parts:
             modules.add(type(part.made).__module__, part.key)

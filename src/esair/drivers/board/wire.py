@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import attrs
 
-from esair.boards.link import DAY_MS, VERSION, packed, unpacked
+from esair.boards.link import DAY_MS, LONGEST, VERSION, packed, unpacked
 from esair.boards.start import CAUSES
 
 READ: Final = (3, VERSION)
@@ -35,6 +35,9 @@ _REASONS: Final = {
 
 PLACES: Final = 32
 """So many actuators a message tells apart: the rest of its byte numbers the commands."""
+
+NAMES: Final = LONGEST - 4 - struct.calcsize("<BII")
+"""Bytes that all names of a board have, in the one message that tells them."""
 
 _ROOM: Final = 48
 """Bytes of a message at most, unless one command is longer: a step reads them one by one."""
