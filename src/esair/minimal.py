@@ -834,7 +834,9 @@ def _check(value: "Any", limits: "Any" = ()) -> "Any":
         if deep and value.__class__ not in _ROWS:  # each is a field
             limits = _ENDS
         for each in value:
-            if deep and isinstance(each, _ROWS):
+            if isinstance(each, _ROWS):
+                if not deep:
+                    break
                 _check(each)
             elif each != each or each in limits:
                 break

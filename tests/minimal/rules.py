@@ -315,6 +315,23 @@ def rule_tuples_are_looked_through():
     assert loop.faults == 1
 
 
+def rule_commands_are_flat():
+    """What is in a row within a command nobody has looked at: no NaN hides there."""
+
+    class Pair(Motor):
+        safe = ("off", 0.0)  # type: ignore[assignment]
+
+    class Nested(Go):
+        def react(self, sonar):
+            return ("on", bad if sonar == 0.5 else sonar)
+
+    nan = float("nan")
+    for bad in ((nan,), (1.0, nan), [nan], (0.5,), ()):
+        loop, motor = told_by([0.5, 0.25], 2, Nested(), Pair())
+        assert motor.told == [("off", 0.0), ("on", 0.25)], (bad, motor.told)
+        assert loop.faults == 1, bad
+
+
 def rule_an_actuator_that_raises_gets_its_safe_command_until_it_takes_it():
     motor = Motor()
     motor.errors = [None, None, OSError(5), OSError(5), OSError(5)]
