@@ -366,14 +366,7 @@ class ReactMistyped(Brake):
 
 
 class ReactReadingMistyped(Brake):
-    def react(self, sonar: esair.Reading[float]) -> float | None:  # type: ignore[override]
-        return None
-
-
-class ReactReadings(Brake):
-    def react(  # type: ignore[override]
-        self, sonar: esair.Reading[float] | esair.Reading[int]
-    ) -> float | None:
+    def react(self, sonar: esair.Reading[str]) -> float | None:  # type: ignore[override]
         return None
 
 

@@ -220,10 +220,8 @@ CASES = [
          "required argument: 'sonra'", "react_misses", "react"),
     Case(parts.ReactMistyped, "its parameter 'sonar' is a str, but the port 'sonar' "
          "reads float: annotate it as float", "react_mistyped", "react"),
-    Case(parts.ReactReadingMistyped, "but the port 'sonar' reads float: annotate it",
+    Case(parts.ReactReadingMistyped, "but the port 'sonar' reads float",
          "react_reading_mistyped", "react"),
-    Case(parts.ReactReadings, "but the port 'sonar' reads float: annotate it",
-         "react_readings", "react"),
     Case(parts.ReactMaybeMistyped, "its parameter 'sonar' is a bytes | None",
          "react_maybe_mistyped", "react"),
     Case(parts.RunAsks, "expected a method without parameters: missing a required "

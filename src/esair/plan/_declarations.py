@@ -171,12 +171,13 @@ def _mistyped(step: Callable[..., Any], given: Mapping[str, Need]) -> Iterator[s
 
 
 def _value_of(hint: Any) -> Any:
-    """Return the type of the value in ``T | None``; a `Reading` is never given."""
+    """Return the type of the value in ``T | None``, or ``Reading[T]``."""
     if typing.get_origin(hint) in {typing.Union, types.UnionType}:
-        parts = typing.get_args(hint)
-        given = [p for p in parts if Reading not in {p, typing.get_origin(p)}] or parts
-        return typing.Union[tuple(map(_value_of, given))]  # noqa: UP007 - known now only
-    return Any if isinstance(hint, typing.TypeVar) else hint
+        parts = tuple(_value_of(part) for part in typing.get_args(hint))
+        return typing.Union[parts]  # noqa: UP007 - the parts are known now only
+    if typing.get_origin(hint) is Reading:
+        return typing.get_args(hint)[0]
+    return Any if hint is Reading or isinstance(hint, typing.TypeVar) else hint
 
 
 def _text(hint: Any) -> str:
