@@ -144,14 +144,13 @@ class Door(OfTurn):
         """The threads whose work is to wait for the outside."""
         self.wakes: bool = False
         self._works = itertools.count(1)
-        self._sources: collections.Counter[str] = collections.Counter()
+        self._sources = itertools.count(1)
         self.number: int = 0  # how many entries have come in
         self.at_work: int = 0  # how many works threads have in hand
 
     def source(self, name: str) -> Tag:
         """Return the tag of one more thread or process of a name: others may live on."""
-        self._sources[name] += 1
-        return "thread", name, str(self._sources[name])
+        return "thread", name, str(next(self._sources))
 
     @property
     def has_news(self) -> bool:
