@@ -590,3 +590,38 @@ def attack_all_names_that_a_message_takes_are_told():
     assert len(found[0]) == link.LONGEST - 13, found
     assert name in found[0], found
     assert board.loop.faults == 0, board.loop.fault
+
+
+class Hold(Reaction):
+    bumper = reads(bool)
+
+    def react(self, bumper):
+        return -0.5
+
+
+def attack_answers_that_fit_in_no_message_together_are_all_given():
+    """Twenty reflexes of long names hold a motor each: each command hears of its own."""
+    board = Board()
+    motors, holds = [board.motor], []
+    for i in range(20):
+        name = ("x%d" % i) + "y" * 60  # noqa: UP031
+        if i:
+            motors.append(Motor())
+            motors[i].name = name
+        motors[i].command_timeout = 1.0
+        port = writes(float, name=motors[i].name)
+        holds.append(type("Hold", (Hold,), {"motor": port})(name))
+    orders = link.from_host(tuple(motors))
+    sensors = [board.bumper, link.Host(link.HOST)]
+    board.loop = Loop(holds + orders, sensors, motors, rate=1000 // STEP_MS)
+    board.link = link.Link(board.loop, orders, "power-on", True, board.line)
+    board.step(20, [BEAT])
+    told(board)
+    commands = [bytes((i,)) + go(0.25)[2:] for i in range(20)]
+    board.step(1, [b"w" + b"".join(commands[:8])])
+    board.step(1, [b"w" + b"".join(commands[8:16])])
+    board.step(1, [b"w" + b"".join(commands[16:])])
+    board.step(40)
+    answers = b"".join([each for each in told(board) if each[0] == 97])
+    assert answers.count(b"y" * 60) == 20, answers
+    assert board.loop.faults == board.line.lost == 0, board.loop.fault

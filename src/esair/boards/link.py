@@ -294,6 +294,8 @@ class Link:
 
     def _reply(self, now: int) -> bool:
         """Send what is to be told, or an answer that is due; tell whether it was sent."""
+        if self.line.used:  # there may be no room
+            return False
         if self.answer is not None:
             data, self.answer = self.answer, None
             self.packet[: len(data)] = data
@@ -363,8 +365,8 @@ class Link:
             came = order.came
             if came < 0:
                 continue
-            if came == now:
-                self.came = now
+            if came == now or at > LONGEST - 80:  # the rest goes in a message more
+                self.came = came
                 continue
             order.came = -1
             packet[at] = order.place
