@@ -32,7 +32,7 @@ def _rows() -> list[Row]:
             "P11 the same, and use a name of it",
             "import esair; esair.Robot",
             PACKAGES,
-            1.2,
+            1.5,
         ),
         ("P11 minimal.py alone, to a bare start", f"{ALONE}import minimal", "", 1.3),
     ):
