@@ -273,6 +273,31 @@ async def test_services_and_actions_each_way() -> None:
         await judge.until("cancelled", "/far_count")
 
 
+@pytest.mark.promise("NET-3", "ROS-1")
+async def test_what_a_server_has_begun_ends_with_it() -> None:
+    """Who waits for its answer, however long, hears that nobody knows what came of it."""
+    made, hand = citizen(), Hand()
+    async with judging() as judge, made.robot(hand) as robot:
+        await there(robot)
+        judge.do("serve_action", "/far_count", "test_msgs/action/Fibonacci")
+        news: list[Any] = []
+        while not news:
+            asking = asyncio.ensure_future(
+                hand.ask("far_count", Count(9000), timeout=None, progress=news.append)
+            )
+            await asyncio.wait({asking}, timeout=0.5)
+            if not news and asking.done():  # it is not there yet
+                assert isinstance(asking.exception(), esair.RefusedError)
+            elif not news:
+                asking.cancel()
+        judge.process.kill()
+        async with asyncio.timeout(45.0):  # a node that says nothing is gone after 20 s
+            with pytest.raises(
+                esair.OutcomeUnknownError, match="nobody serves /far_count"
+            ):
+                await asking
+
+
 @attrs.frozen
 class Basic:
     """``test_msgs/srv/BasicTypes``."""

@@ -296,6 +296,7 @@ class Graph:
         self.told: set[tuple[str, str]] = set()
         self.looked: dict[tuple[str, str], int] = {}
         self.asked: dict[int, Any] = {}
+        self.servers: dict[int, Any] = {}  # of the calls: name, whether it is there
         self.publishers: dict[str, Any] = {}
         self.clients: dict[str, Any] = {}
         self.served: list[Any] = []
@@ -303,6 +304,7 @@ class Graph:
             link["class"] = found(link["type"])
             getattr(self, "_{kind}_{flow}".format(**link))(link["name"], link)
         node.create_timer(BEAT, bridge.tick, callback_group=self.group)
+        node.create_timer(1.0, self._miss, callback_group=self.group)
 
     def _qos(self, link: dict[str, Any], depth: int, reliable: bool) -> Any:
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -428,6 +430,7 @@ class Graph:
         if not is_there():
             say("answer", number, "declined", f"nobody serves {name} in ROS")
             return
+        self.servers[number] = name, is_there
         if not is_action:
             future = client.call_async(fill(kind.Request(), message))
             self.asked[number] = lambda: client.remove_pending_request(future)
@@ -463,6 +466,15 @@ class Graph:
         self.asked[number] = lambda: None
         sent = client.send_goal_async(fill(kind.Goal(), message), feedback)
         sent.add_done_callback(accepted)
+
+    def _miss(self) -> None:
+        """End the calls whose server has gone: ROS says nothing of them any more."""
+        self.servers = {n: each for n, each in self.servers.items() if n in self.asked}
+        for number, (name, is_there) in self.servers.items():
+            if not is_there():
+                del self.asked[number]
+                told = f"nobody serves {name} in ROS any more"
+                self.bridge.say("answer", number, "lost", told)
 
     def cancel(self, number: int) -> None:
         """Let nobody work on it any more."""
