@@ -100,6 +100,17 @@ def applied(command: float, sent: float) -> float | None:
     return None if math.isclose(sent, command, rel_tol=1e-6, abs_tol=1e-12) else sent
 
 
+def check_sense(device: Any, in_row: int, wrong: str, last: Any) -> None:
+    """Refuse nothing but nonsense: who may be silent for ever would keep its last value.
+
+    Raises:
+        DeviceFaultError: So many messages in a row are wrong in this way, the last is this.
+    """
+    if device.silent_after is None and in_row >= device.fault_limit:
+        told = f"{in_row} messages in a row {wrong}: {last!r:.80}"
+        raise DeviceFaultError(device.name, told)
+
+
 def heard(
     device: Resource,
     inbox: Inbox[T],

@@ -24,7 +24,7 @@ from collections.abc import AsyncIterator
 from typing import Any, ClassVar, TypedDict, Unpack
 
 from esair.buses import Inbox, SerialBus
-from esair.drivers._on_bus import check_bus, heard
+from esair.drivers._on_bus import check_bus, check_sense, heard
 from esair.exceptions import ConfigError, DeviceFaultError
 from esair.framing import Raw
 from esair.resources import (
@@ -215,9 +215,7 @@ class LineSensor(_OnLine, Sensor[float]):
                     continue
                 self.bad_lines += 1
                 self._bad_in_row += 1
-                if self.silent_after is None and self._bad_in_row >= self.fault_limit:
-                    told = f"{self._bad_in_row} values in a row are no number: {line!r:.80}"
-                    raise DeviceFaultError(self.name, told)
+                check_sense(self, self._bad_in_row, "are no number", line)
 
     def _lines(self) -> Inbox[bytes]:
         return self.bus.frames(f"{self.key}=".encode("ascii"), limit=WAITING)

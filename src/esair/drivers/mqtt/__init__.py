@@ -40,14 +40,8 @@ from typing import Any, ClassVar, TypedDict, Unpack
 
 from esair.buses import Inbox
 from esair.buses.mqtt import Message, MqttBus, MqttLink, matches
-from esair.drivers._on_bus import check_bus, ended, heard, watching
-from esair.exceptions import (
-    BadValueError,
-    ConfigError,
-    DeviceFaultError,
-    DeviceLostError,
-    describe,
-)
+from esair.drivers._on_bus import check_bus, check_sense, ended, heard, watching
+from esair.exceptions import BadValueError, ConfigError, DeviceLostError, describe
 from esair.resources import (
     HOLD,
     Actuator,
@@ -239,14 +233,11 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
         except (ValueError, LookupError, TypeError, ArithmeticError, RecursionError):
             self.bad_payloads += 1
             self._bad_in_row += 1
-            if self.silent_after is not None or self._bad_in_row < self.fault_limit:
-                return None
-            told = f"{self._bad_in_row} messages in a row have no such value"
-            raise DeviceFaultError(
-                self.name, f"{told}: {message.payload!r:.80}"
-            ) from None
-        self._bad_in_row = 0
-        return (value,)
+        else:
+            self._bad_in_row = 0
+            return (value,)
+        check_sense(self, self._bad_in_row, "have no such value", message.payload)
+        return None
 
     def _decoded(self, payload: bytes) -> Any:
         found: Any = payload.decode()
