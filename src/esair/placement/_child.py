@@ -540,7 +540,8 @@ class Words(logging.Handler):
         try:
             told: dict[str, Any] = {"level": record.levelno, "name": record.name}
             lines = self.format(record).splitlines()[-100:] or [""]  # a traceback, too
-            texts = (json.dumps(told | {"text": line[:2000]}) for line in lines)
-            os.write(1, "".join(f"{RECORD}{each}\n" for each in texts).encode())
+            for line in lines:  # each is written whole, beside what others print
+                text = json.dumps(told | {"text": line[:2000]})
+                os.write(1, f"{RECORD}{text}\n".encode())
         except Exception:
             self.handleError(record)
