@@ -472,7 +472,7 @@ class Graph:
         self.servers = {n: each for n, each in self.servers.items() if n in self.asked}
         for number, (name, is_there) in self.servers.items():
             if not is_there():
-                del self.asked[number]
+                self.cancel(number)
                 told = f"nobody serves {name} in ROS any more"
                 self.bridge.say("answer", number, "lost", told)
 
