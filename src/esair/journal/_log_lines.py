@@ -10,6 +10,8 @@ import os
 import queue
 import select
 import threading
+import time
+from collections import Counter
 from collections.abc import Callable
 
 from esair.exceptions import describe, told_traceback, wants_traceback
@@ -18,6 +20,9 @@ from esair.loop import turn_of
 
 LIMIT = 1000
 """How many lines may wait to be shown; what comes then is dropped and counted."""
+
+OFTEN = 20
+"""How many lines of one source are shown in a second; others are counted, and said."""
 
 LAST_MOMENT = 0.5
 """How long a robot that has stopped waits for its last lines to be shown, in seconds."""
@@ -41,7 +46,9 @@ logging.getLogger("esair").addFilter(escape_traceback)
 
 
 class Beside:
-    """Shows lines in a thread of its own.
+    """Shows lines in a thread of its own; a source that floods leaves the others room.
+
+    The source of a line is what stands before its second colon: ``wheels: lost``.
 
     Args:
         show: Shows one line; what it raises is nobody's, the next may be better.
@@ -50,6 +57,9 @@ class Beside:
     def __init__(self, show: Callable[[logging.LogRecord], object]) -> None:
         self.dropped: int = 0
         self._show = show
+        self._told = 0  # of those that were dropped
+        self._second: Counter[str] = Counter()  # lines by their source
+        self._ends = 0.0  # that second
         # Not a Queue: a signal handler may log amid the line that it interrupts.
         self._waiting: queue.SimpleQueue[
             logging.LogRecord | Callable[[], object] | None
@@ -76,20 +86,44 @@ class Beside:
         self.thread.join(within)
 
     def _work(self) -> None:
-        told = 0
-        while (each := self._waiting.get()) is not None:
+        while (each := self._next()) is not None:
             with contextlib.suppress(Exception):
                 if not isinstance(each, logging.LogRecord):
                     each()
-                    continue
-                self._show(each)
-                if self.dropped > told:
-                    text = (
-                        f"{self.dropped - told} lines were dropped: they came too fast"
-                    )
-                    told = self.dropped
-                    line = "esair", logging.WARNING, __file__, 0, text, None, None
-                    self._show(logging.LogRecord(*line))
+                elif not self._is_too_often(each):
+                    self._show(each)
+                    if (dropped := self.dropped - self._told) > 0:
+                        self._told += dropped
+                        self._say(f"{dropped} lines were dropped: they came too fast")
+        self._say_what_was_too_often()
+
+    def _next(self) -> logging.LogRecord | Callable[[], object] | None:
+        """Wait for what comes next, and say at its end what a second had too often."""
+        while True:
+            left = self._ends - time.monotonic()
+            if left <= 0:
+                self._say_what_was_too_often()
+            with contextlib.suppress(queue.Empty):
+                return self._waiting.get(timeout=left if self._second else None)
+
+    def _is_too_often(self, record: logging.LogRecord) -> bool:
+        if not self._second:
+            self._ends = time.monotonic() + 1.0
+        source = ":".join(str(record.msg).split(":", 2)[:2])
+        self._second[source] += 1
+        return self._second[source] > OFTEN
+
+    def _say_what_was_too_often(self) -> None:
+        for source, count in self._second.items():
+            if count > OFTEN:
+                more = f"{count - OFTEN} more lines in a second"
+                self._say(f"{more} were left out: {source!r}")
+        self._second.clear()
+
+    def _say(self, text: str) -> None:
+        line = "esair", logging.WARNING, __file__, 0, text, None, None
+        with contextlib.suppress(Exception):
+            self._show(logging.LogRecord(*line))
 
 
 def text_of(record: logging.LogRecord) -> str:
