@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
 from collections.abc import Mapping
 from typing import (
@@ -301,17 +300,17 @@ class ProfiledAction(abc.Action):
     blind_unless_said: ClassVar[Blind] = "release"
     """What ``blind`` of its ports is, where they do not say."""
 
-    _declared: Mapping[str, Need] = {}
-    _profile: Mapping[str, Need] = {}
+    needs: Mapping[str, Need] = {}
+    """What this action reads, writes and guards, by the name of its port."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        cls._declared = {
+        cls.needs = {
             name: value
             for name, value in attributes_of(cls).items()
             if isinstance(value, Reads | Writes | Guards)
         }
-        _check_free(cls.__name__, cls, cls._declared)
+        _check_free(cls.__name__, cls, cls.needs)
 
     def __init__(
         self,
@@ -323,22 +322,18 @@ class ProfiledAction(abc.Action):
     ) -> None:
         super().__init__(name=name)
         given: dict[str, Need] = {**(reads or {}), **(writes or {}), **(guards or {})}
-        vars(self).pop("needs", None)  # a file may give a profile afterwards
         if given:
             for attribute, need in given.items():
                 if not isinstance(need, Reads | Writes | Guards):
                     told = f"expected esair.reads(...) or the like, not {need!r:.80}"
                     raise ConfigError(self.name, attribute, told)
             _check_free(self.name, type(self), given)
-            self._profile = {
+            own = {
                 attribute: attrs.evolve(need, attribute=attribute)
                 for attribute, need in given.items()
             }
-
-    @functools.cached_property
-    def needs(self) -> dict[str, Need]:
-        """What this action reads, writes and guards, by the name of its port."""
-        return {**self._declared, **self._profile}
+            # Not of the instance: a file may give a profile after a script has.
+            self.needs = {**type(self).needs, **own}
 
     def holds_when_blind(self, need: Need) -> bool:
         """Tell whether an actuator is kept safe while this action cannot decide."""

@@ -219,7 +219,7 @@ class MinimalReaction(Reaction):
         super().__init__(name=reaction.name, reads=reads, writes=writes)
         self.reaction = reaction
         if guarded:
-            self._profile = {**self._profile, **guarded}
+            self.needs = {**self.needs, **guarded}
         for name in _OF_STD:
             if hasattr(reaction, name):
                 setattr(self, name, getattr(reaction, name))

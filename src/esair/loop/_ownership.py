@@ -31,7 +31,8 @@ class Owner:
         self._others: dict[asyncio.Task[Any], None] | None = None
         self.threads: tuple[threading.Thread, ...] = ()
         """The threads that run its plain functions."""
-        self.stream: Stream | None = None  # gives its random numbers
+        self.stream: str | random.Random | None = None
+        """Its random numbers; their seed until the first is asked for."""
         self.over: bool = False
         """Its run has ended: what would not end with it speaks for nobody."""
         self.told: Sequence[asyncio.Task[Any]] = ()
@@ -302,25 +303,6 @@ class Stepping(OfLoop):
         self.runner: Any = None
 
 
-class Stream:
-    """The random numbers of one component, made when they are first asked for.
-
-    It knows a seed and no component: what still holds a task's context, such as a
-    timer that was cancelled, must not keep a component alive that was removed.
-    """
-
-    __slots__ = ("_made", "seed")
-
-    def __init__(self, seed: str | None) -> None:
-        self.seed: str | None = seed
-        self._made: random.Random | None = None
-
-    def __call__(self) -> random.Random:
-        if self._made is None:
-            self._made = random.Random(self.seed)
-        return self._made
-
-
 class ComponentRandom(random.Random):
     """The random numbers of the component that asks: `esair.random`.
 
@@ -347,7 +329,9 @@ class ComponentRandom(random.Random):
         owner = (runner and runner.owner) or current_owner()
         if owner is None or owner.stream is None:
             return _outside
-        return owner.stream()
+        if isinstance(owner.stream, str):
+            owner.stream = random.Random(owner.stream)
+        return owner.stream
 
     def random(self) -> float:
         """Return a number from 0 to 1, 1 not included."""

@@ -14,6 +14,7 @@ import itertools
 import json
 import logging
 import os
+import random
 import signal
 import socket
 import sys
@@ -31,7 +32,6 @@ from esair.loop import (
     OwnedTasks,
     Owner,
     Portal,
-    Stream,
     current_task_of,
     raisable,
     settle,
@@ -372,7 +372,7 @@ class Child(Exchange):
         sys.path[:], sys.argv[:] = given["path"], given["argv"]
         self.name = given["name"]
         self._of_threads = Portal(self.name, self.owner)
-        self.owner.stream = Stream(given["stream"])
+        self.owner.stream = given["stream"] or random.Random()
         self._stall = given["stall"]
         self.loop.is_of_virtual = self._stall is not None
         if given["memory"] is not None:

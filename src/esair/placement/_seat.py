@@ -172,7 +172,7 @@ class Seat:
             "path": list(sys.path),
             "argv": list(sys.argv),
             "name": self.name,
-            "stream": None if stream is None else stream.seed,
+            "stream": stream,
             "stall": self.placement.stall if is_virtual else None,
             "memory": self.placement.memory,
             "nice": self.placement.nice,

@@ -60,6 +60,8 @@ _log = logging.getLogger("esair")
 class Sight:
     """Keeps the entries of one component in the table, from its acceptance on."""
 
+    __slots__ = ("_action", "_decided", "_table", "entries", "name", "reason")
+
     def __init__(
         self,
         table: Protections,
@@ -197,6 +199,9 @@ Action = Behavior | Reaction
 Port = SensorPort[Any] | ActuatorPort[Any]
 
 
+_NO_PORTS: Mapping[str, Port] = {}
+
+
 class Grants:
     """Keeps the registrations of one component, and the ports that it declares.
 
@@ -207,6 +212,8 @@ class Grants:
             with no higher priority than that.
     """
 
+    __slots__ = ("_crew", "_name", "_ports", "_under", "registrations")
+
     def __init__(
         self,
         name: str,
@@ -216,7 +223,7 @@ class Grants:
         self._name = name
         self._under = under
         self._crew = crew
-        self._ports: dict[str, Port] = {}
+        self._ports: Mapping[str, Port] = _NO_PORTS
         """The declared ports of a behavior, by their attributes."""
         self.registrations: list[Registration] = []
 
@@ -287,7 +294,8 @@ class Grants:
 
     def declare(self, attribute: str, need: Need) -> Port:
         max_age = need.max_age if isinstance(need, Reads) else None
-        port = self._ports[attribute] = self.port(self.of_need(need), max_age)
+        port = self.port(self.of_need(need), max_age)
+        self._ports = {**self._ports, attribute: port}
         return port
 
     def revive(self, needs: Mapping[str, Need], resource: str) -> None:

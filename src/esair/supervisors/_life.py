@@ -55,6 +55,16 @@ class Life:
         retries: Whether it is spent, and the component is tried from time to time.
     """
 
+    __slots__ = (
+        "_begins",
+        "_times",
+        "journal",
+        "name",
+        "policy",
+        "restarts",
+        "retries",
+    )
+
     def __init__(self, name: str, policy: Restart, journal: Journal) -> None:
         self.name: str = name
         self.policy: Restart = policy

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from esair.placement import Seat
 
 _NO_QUEUES: Mapping[Any, OrderQueue] = {}
+_NO_DATA: list[Any] = []  # shared by all that offer nothing
 _NO_TAKERS: list[asyncio.Future[None]] = []  # hot: shared by all where nobody waits
 
 _LEAVING = frozenset({BehaviorState.STOPPING, BehaviorState.REMOVED})
@@ -77,7 +78,7 @@ class Mailbox:
     error: BaseException | None = None
     inbox: list[tuple[str, Any]] = attrs.field(factory=list)  # who put what
     latest: Any = NOTHING  # what everybody may get again and again
-    outbox: list[Any] = attrs.field(factory=list)
+    outbox: list[Any] = _NO_DATA
     dropped: int = 0
     turned_away: int = 0  # how many requests and offers there was no room for
     # Puts that wait until it can receive, and gets that wait until it can send.
@@ -317,6 +318,8 @@ class Mailbox:
             drop = len(self.outbox) if action.outbox_policy == "latest" else 1
             del self.outbox[:drop]
             self.dropped += drop
+        if not self.outbox:
+            self.outbox = []
         self.outbox.append(data)
 
 
@@ -553,7 +556,7 @@ class Mediator:
         if member is None or member.latest is not NOTHING:
             return
         if not member.give(data):
-            member.outbox.insert(0, data)
+            member.outbox = [data, *member.outbox]
 
     # Ask.
 

@@ -34,7 +34,6 @@ from esair.loop import (
     Budget,
     Owner,
     Portal,
-    Stream,
     fail,
     raisable,
     spawn,
@@ -81,6 +80,29 @@ class Member:
 
     It is also the `Host` that the behavior talks to.
     """
+
+    __slots__ = (
+        "_lives",
+        "_timer",
+        "action",
+        "crew",
+        "detail",
+        "gate",
+        "given_up",
+        "grants",
+        "life",
+        "mail",
+        "name",
+        "over",
+        "portal",
+        "ready",
+        "runner",
+        "seat",
+        "sight",
+        "steps",
+        "task",
+        "used",
+    )
 
     def __init__(
         self, action: Behavior | Reaction, crew: BehaviorDeployment, name: str
@@ -212,8 +234,8 @@ class Member:
         self.mail.become(BehaviorState.STARTING)
         self._lives += 1
         life = f"/{self._lives}" if self._lives > 1 else ""
-        seed = f"{self.crew.resources.seed}/{self.name}{life}"
-        self.mail.owner.stream = Stream(seed)  # random numbers of its own for each life
+        # Random numbers of its own for each life.
+        self.mail.owner.stream = f"{self.crew.resources.seed}/{self.name}{life}"
         if self.mail.owner.over and (misfit := self.misfit()):
             self._runs(False, misfit)  # another device has come in the place of one
             return

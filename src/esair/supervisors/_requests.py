@@ -263,6 +263,9 @@ def chain() -> Iterator[Request]:
         request = request.parent
 
 
+_NOBODY: dict[str, collections.deque[Request]] = {}  # of all where nothing waits
+
+
 class RequestQueue:
     """Requests of one kind that wait for a behavior; those who ask take turns.
 
@@ -281,7 +284,7 @@ class RequestQueue:
     def __init__(self, member: Mailbox, method: str | None = None) -> None:
         self.member: Mailbox = member
         self.method: str | None = method
-        self._waiting: dict[str, collections.deque[Request]] = {}
+        self._waiting: dict[str, collections.deque[Request]] = _NOBODY
         self.count: int = 0
         self.task: asyncio.Task[Done] | None = None
         self.current: Request | None = None  # what the task is for
@@ -297,6 +300,8 @@ class RequestQueue:
         self._add(request)
 
     def _add(self, request: Request) -> None:
+        if not self._waiting:
+            self._waiting = {}
         self._waiting.setdefault(request.asker, collections.deque()).append(request)
         request.waits = True
         self.count += 1

@@ -46,7 +46,6 @@ from esair.loop import (
     Deadlines,
     News,
     Owner,
-    Stream,
     ask_outside,
     fail,
     ignore,
@@ -233,7 +232,7 @@ class DerivedOpener(Opener):
         self._derivation: Derivation | None = None
         self._missing: EsairError | None = None  # why it has not the right sources
         self._owner = Owner()
-        self._owner.stream = Stream(f"{deployment.seed}/{derived.name}")
+        self._owner.stream = f"{deployment.seed}/{derived.name}"
 
     def start(self, hear: Hear) -> None:
         self._hear = hear
