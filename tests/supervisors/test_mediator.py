@@ -629,8 +629,9 @@ async def test_a_provide_cancelled_before_its_first_step_blocks_no_other() -> No
         member = robot._behaviors.members["b"].mail
         get = asyncio.ensure_future(a.get("b"))
         await asyncio.sleep(0)
-        assert member.askers.task is not None
-        member.askers.task.cancel()
+        assert member.askers.current is not None
+        assert member.askers.current.worker is not None
+        member.askers.current.worker.cancel()
         with pytest.raises(esair.BehaviorFailedError):
             await get
 

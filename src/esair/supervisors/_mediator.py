@@ -90,8 +90,6 @@ class Mailbox:
     budget: Budget = attrs.field(init=False)
     state: BehaviorState = BehaviorState.STARTING
     alive: bool = True
-    is_leaving: bool = False
-    """Whether it is being removed, or has been: its actuators may still be."""
     is_quick: bool = True
     receives: bool = False
     is_near: bool = False
@@ -111,7 +109,6 @@ class Mailbox:
     def become(self, state: BehaviorState) -> None:
         self.state = state
         self.alive = state in _ALIVE
-        self.is_leaving = state in _LEAVING
         self.is_quick = self.alive and not self.outlived
         is_open = state is BehaviorState.RUNNING
         if self.room and state is BehaviorState.RESTING:
@@ -159,6 +156,11 @@ class Mailbox:
             raise run_ended(self.name)
 
     # What the mediator asks.
+
+    @property
+    def is_leaving(self) -> bool:
+        """Whether it is being removed, or has been: its actuators may still be."""
+        return self.state in _LEAVING
 
     def has_room(self) -> bool:
         """Whether the inbox can take another piece of data."""

@@ -67,7 +67,7 @@ from esair.supervisors._mediator import Mailbox
 from esair.values import check_duration
 
 if TYPE_CHECKING:
-    from esair.placement import Seat, StepSeat
+    from esair.placement import StepSeat
     from esair.supervisors._behavior_deployment import BehaviorDeployment
 
 _UNBOUND = frozenset({BehaviorState.RESTARTING, BehaviorState.RESTING})
@@ -97,7 +97,6 @@ class Member:
         "portal",
         "ready",
         "runner",
-        "seat",
         "sight",
         "steps",
         "task",
@@ -132,11 +131,8 @@ class Member:
         self.portal: Portal | None = None
         self.sight: Sight = Sight(crew.resources.actuators.protections, action, name)
         """What it protects, and whether it sees."""
-        self.seat: Seat | None = (
-            crew.resources.seat_for(action) if is_placed(action) else None
-        )
-        """Its place if its code runs in a process of its own."""
-        self.mail.seat = self.seat
+        if is_placed(action):
+            self.mail.seat = crew.resources.seat_for(action)
         self.used: Collection[str] = ()
         """Which resources its last run has used; what it moved may not be safe yet."""
 
@@ -245,7 +241,7 @@ class Member:
             hooks = Hooks(state=self._runs, crash=self._crashed, sight=sees)
             began, owner = self.crew.resources.began, self.mail.owner
             self.runner = runner_for(
-                self.action, self.sight, hooks, began, owner, self.seat
+                self.action, self.sight, hooks, began, owner, self.mail.seat
             )
             missing = [
                 need.resource
@@ -259,8 +255,8 @@ class Member:
             return
         if self.mail.owner.over:
             self._take_owner()
-        if self.seat is not None:
-            self.seat.sit(self.mail.owner)
+        if self.mail.seat is not None:
+            self.mail.seat.sit(self.mail.owner)
         if not inspect.iscoroutinefunction(self.action.run):
             self.portal = Portal(self.name, self.mail.owner)
         try:
@@ -275,7 +271,7 @@ class Member:
         )
         if self.portal is not None:
             self.mail.carriers = (self.task,)
-        self.task.add_done_callback(self._ended)
+        self.task.add_done_callback(self._ended, context=self.crew.context)
 
     def _take_owner(self) -> None:
         """Have an owner for a new run, who also owns what outlives the one before."""
@@ -501,8 +497,8 @@ class Member:
         """Its tasks have ended, or would not: it is gone."""
         self.task = None
         self.mail.carriers = ()
-        if self.seat is not None:
-            self.seat.rise()
+        if self.mail.seat is not None:
+            self.mail.seat.rise()
         take_back(self.action, self, self.portal)
         self.mail.become(BehaviorState.REMOVED)
 
@@ -608,5 +604,5 @@ class Member:
             sum(queue.count for queue in mail.queues.values()),
             sum(len(queue.working) for queue in mail.queues.values()),
             mail.dropped,
-            *where(self.seat),
+            *where(self.mail.seat),
         )

@@ -274,7 +274,7 @@ class RequestQueue:
     """
 
     # Slots: each behavior and reaction has some of these.
-    __slots__ = ("_waiting", "count", "current", "member", "method", "task")
+    __slots__ = ("_waiting", "count", "current", "member", "method")
 
     limit = REQUESTS_PER_TARGET
     bound = "number of requests to it"  # what the limit is of
@@ -286,8 +286,7 @@ class RequestQueue:
         self.method: str | None = method
         self._waiting: dict[str, collections.deque[Request]] = _NOBODY
         self.count: int = 0
-        self.task: asyncio.Task[Done] | None = None
-        self.current: Request | None = None  # what the task is for
+        self.current: Request | None = None  # what its task is for
 
     def __iter__(self) -> Iterator[Request]:
         return iter([each for queue in self._waiting.values() for each in queue])
@@ -336,7 +335,7 @@ class RequestQueue:
             request = other.pop()
             request.queue = self
             self._add(request)
-        other.task = other.current = None
+        other.current = None
 
     def end_all(self, outcome: Outcome, error: Callable[[Request], EsairError]) -> None:
         """End what waits and what is worked on."""
@@ -356,28 +355,27 @@ class RequestQueue:
         member, request = self.member, self.first()
         if (
             self.method is None
-            or self.task is not None
+            or self.current is not None
             or request is None
             or not self.can_serve
         ):
             return
         self.current = request
         self.begun(request)
-        self.task = spawn(
+        request.worker = task = spawn(
             asyncio.get_running_loop(),
             do_for(request, member, self.method),
             name=f"{member.name} {self.method}",
             owner=member.owner,
         )
-        request.worker = self.task
         # Not in the task itself: one that is cancelled before its first step does
         # nothing at all.
-        self.task.add_done_callback(functools.partial(self._served, request))
+        task.add_done_callback(functools.partial(self._served, request))
 
     def _served(self, request: Request, task: asyncio.Task[Done]) -> None:
-        is_mine = self.task is task
+        is_mine = self.current is request
         if is_mine:
-            self.task = self.current = None
+            self.current = None
         self.done_with(request)
         value, error = (
             (None, asyncio.CancelledError()) if task.cancelled() else task.result()
@@ -400,7 +398,7 @@ class RequestQueue:
                 is_there = hasattr(self.member.action, "doing_there")
                 unknown = OutcomeUnknownError(self.member.name, told)
                 request.fail(told, unknown if is_there else error)
-        self.task = self.current = None
+        self.current = None
 
 
 Done = tuple[Any, BaseException | None]

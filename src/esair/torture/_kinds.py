@@ -241,7 +241,7 @@ def flood(world: World, step: Step) -> None:
 def _process(world: World, step: Step) -> Any:
     """Return the process that an action has, idle: nobody else may touch it."""
     name = _action(world, step)
-    seat = world.robot.behaviors._deployment.members[name].seat  # noqa: SLF001
+    seat = world.robot.behaviors._deployment.members[name].mail.seat  # noqa: SLF001
     process = None if seat is None else seat.process
     if process is None or process.pid is None or process.error is not None:
         raise NotNowError
