@@ -225,7 +225,7 @@ class World:
         members = robot._behaviors.members
         for member in members.values():
             assert member.mail.senders.count == member.mail.askers.count == 0
-            assert member.mail.askers.task is None
+            assert member.mail.askers.current is None
             assert member.mail.takers == []
             assert not member.steps
             assert member.mail.state in {
