@@ -89,17 +89,38 @@ async def test_cuts(seed: int) -> None:
 
 
 @pytest.mark.promise("NET-3", "NET-6")
-async def test_a_beat_that_was_never_sent_ends_no_conversation() -> None:
-    """A damaged number is larger than any that comes: the peer counts on from it."""
+@pytest.mark.parametrize("largest", [1 << 60, (1 << 62) - 1])
+@pytest.mark.parametrize("field", ["beat", "echo"])
+async def test_a_number_that_was_never_sent_ends_no_conversation(
+    field: str, largest: int
+) -> None:
+    """It is larger than any that comes: whose number it is begins another run."""
     pair, hand = Pair(), Hand()
     async with pair.both(hand) as (_base, rover):
         bus = pair.to_rover
-        head = Head(bus._its_run, 1 << 60, bus._run, bus._beats, 0.0)
-        pair.network.inject("rover", "base", "beat", packed(head, (), bus.kinds))
+        head = Head(bus._its_run, bus._its_beat, bus._run, bus._beats, 0.0)
+        said = packed(head._replace(**{field: largest}), (), bus.kinds)
+        pair.network.inject("rover", "base", "beat", said)
         await asyncio.sleep(3.0)
         for name in ("base", "far_wheels"):
             state = rover.resources.query(name).state
             assert state is esair.ResourceState.READY, name
+        assert await hand.wheels.write(Twist(0.2, 0.0))
+        assert pair.wheels.commands[-1] == Twist(0.2, 0.0)
+
+
+@pytest.mark.promise("NET-3", "NET-6")
+async def test_who_takes_each_other_for_over_meet_again() -> None:
+    """A second pair of the same two names was heard by both, and has gone."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand):
+        for to, sender, bus in (
+            ("base", "rover", pair.to_rover),
+            ("rover", "base", pair.to_base),
+        ):
+            head = Head(77, 1, bus._run, bus._beats, 0.0)
+            pair.network.inject(sender, to, "beat", packed(head, (), bus.kinds))
+        await asyncio.sleep(3.0)
         assert await hand.wheels.write(Twist(0.2, 0.0))
         assert pair.wheels.commands[-1] == Twist(0.2, 0.0)
 

@@ -280,11 +280,9 @@ class PeerBus(Bus):
                 if self._alive.is_set():
                     self._say_again()
         if head.echo_run == self._run and head.echo > self._beats:
-            # A number came there that was never sent: count on from it, or what is
-            # sent from now on stays unheard.
+            # A number came there that was never sent: what this run says stays unheard.
             self.stats.bad_frames += 1
-            self._beats = head.echo
-            self._sent.clear()
+            self._run = secrets.randbits(63)
         self._taken.append(it)
         since = self._since(head)
         if since > NEVER:
@@ -314,17 +312,17 @@ class PeerBus(Bus):
         """Tell whether a message is of a run that is over.
 
         One that has heard what was said since is not: a second robot of this name has
-        been heard meanwhile. It is heard again when that is not.
+        been heard meanwhile. It is heard again when that is not, at the latest after a
+        second of silence: it may believe the same of this robot.
         """
-        over = self._over.get(head.run)
+        over, now = self._over.get(head.run), asyncio.get_running_loop().time()
         if over is None:
             return False
-        if head.echo_run != self._run or not over < head.echo <= self._beats:
-            return True
-        if not self._alive.is_set():
+        is_now = head.echo_run == self._run and over < head.echo <= self._beats
+        if not self._alive.is_set() and (is_now or now - self._beat_at > SILENCE):
             del self._over[head.run]
             return False
-        if self._doubled != head.run:
+        if is_now and self._doubled != head.run:
             self._doubled = head.run
             told = (
                 "%s: two robots have this name, and one of them is heard: end the other"
