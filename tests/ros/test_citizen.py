@@ -247,6 +247,57 @@ async def test_a_behavior_asks_ros() -> None:
         assert cancelled == [{"order": 90}]
 
 
+@pytest.mark.promise("ROS-1", "SC-1")
+async def test_the_last_of_a_burst_is_heard() -> None:
+    """It came sooner than the rate allows, and nothing comes after it."""
+    citizen, hand = Citizen(), Hand()
+    async with citizen.running(hand):
+        for number in (1.0, 2.0):
+            citizen.fake.publish("/range", {"data": number})
+        await asyncio.sleep(0.1)
+        assert await hand.range.read() == 2.0
+
+
+@pytest.mark.promise("ROS-1", "NET-3")
+async def test_a_gap_ends_what_each_side_has_asked_for() -> None:
+    """Its process was stopped for less than two seconds: nobody works or waits in vain."""
+    citizen, hand, cancelled = Citizen(), Hand(), asyncio.Event()
+
+    async def count(*_: Any) -> None:
+        try:
+            await asyncio.sleep(1000.0)
+        finally:
+            cancelled.set()
+
+    async with citizen.running(hand):
+        citizen.fake.services = {"/far_count": count}
+        asked = citizen.fake.call("/count", {"order": 3})
+        asking = asyncio.ensure_future(hand.ask("far_count", Count(3), timeout=None))
+        await asyncio.sleep(0.1)
+        citizen.fake.stall()
+        await asyncio.sleep(1.5)
+        citizen.fake._stalled = False
+        with pytest.raises(esair.OutcomeUnknownError):
+            await asking
+        await asyncio.sleep(2.0)
+        assert citizen.lamp.cancelled == 1
+        assert asked.result()[0] == "lost"
+        assert cancelled.is_set()
+        assert citizen.fake.begun == 1
+
+
+@pytest.mark.promise("ROS-1", "BS-10")
+async def test_a_request_that_cannot_be_read_has_an_answer() -> None:
+    """However many there are: others are answered after them."""
+    citizen = Citizen()
+    async with citizen.running():
+        wrong = [citizen.fake.call("/count", {"order": "two"}) for _ in range(64)]
+        await asyncio.sleep(2.0)
+        assert {each.result()[0] for each in wrong} == {"lost"}
+        how, _ = await citizen.fake.call("/light", {"data": True})
+        assert how == "answered"
+
+
 @pytest.mark.promise("ROS-2")
 async def test_the_end_of_its_process_is_a_restart() -> None:
     """LOST, begun again, READY; the wheels are safe, an ask is not known, nobody else fell."""

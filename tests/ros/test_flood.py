@@ -128,7 +128,7 @@ def take():
     return child.unpack(stream.read(struct.unpack(">I", size)[0]))
 
 class Graph:
-    topics = {{"/cmd_vel": None, "/range": None}}
+    topics, asked = {{"/cmd_vel": None, "/range": None}}, {{}}
     publish = call = cancel = lambda *_: None
     strangers = lambda _: ()
 

@@ -120,6 +120,7 @@ class Bridge:
         self.dropped = 0
         self.followed: dict[str, float] = {}
         self.due: dict[str, float] = {}
+        self.newest: dict[str, tuple[float, Any]] = {}  # since when, and how it is read
         self.served: dict[int, tuple[Any, Any]] = {}
         self.feeds: dict[str, float] = {}
         self.numbers = itertools.count(1)
@@ -128,11 +129,13 @@ class Bridge:
         """Speak for a graph; feeds are the robot's sensors that are published."""
         self.graph, self.feeds, self.ticked = graph, feeds, self.clock()
 
-    def say(self, what: str, *parts: Any) -> None:
-        """Tell the robot something."""
+    def say(self, what: str, *parts: Any) -> bool:
+        """Tell the robot something; tells whether there was room."""
         held = self.clock() - self.heard_at if self.its_run else 0.0
         head = (self.run, self.beats, self.its_run, self.its_beat, held)
-        self.dropped += not self.send([what, *head, *parts])
+        is_sent: bool = self.send([what, *head, *parts])
+        self.dropped += not is_sent
+        return is_sent
 
     def tick(self) -> None:
         """Beat."""
@@ -141,8 +144,11 @@ class Bridge:
         self.gap = gap if gap > 3 * BEAT else 0.0
         self.beats += 1
         self.say("beat")
+        for topic in tuple(self.newest):
+            self._hand_on(topic, now)
         if self.beats % LOOK == 1:
             self.say("follow", self.feeds)
+            self.say("pending", list(self.served))  # of others the robot knows nothing
             if self.dropped:
                 told, self.dropped = self.dropped, 0
                 self.say("dropped", told)
@@ -171,16 +177,26 @@ class Bridge:
         self.followed = wanted
 
     def heard(self, topic: str, read: Any) -> None:
-        """Hand on what came by a topic, if it is wanted now: read makes it plain."""
-        now = self.clock()
-        rate = self.followed.get(topic)
-        if rate is None or now < self.due.get(topic, 0.0):
+        """Hand on what came by a topic, if it is wanted: read makes it plain.
+
+        What comes too soon, or finds no room, waits for a beat; the newest is kept.
+        """
+        if topic not in self.followed:
             return
-        self.due[topic] = now + 0.9 / rate
+        now = self.clock()
         # What came while nothing was done here may be as old as that time is long.
         since = now - self.ticked
         age = self.gap + since if self.gap else since if since > 3 * BEAT else 0.0
-        self.say("reading", topic, age, read())
+        self.newest[topic] = now - age, read
+        self._hand_on(topic, now)
+
+    def _hand_on(self, topic: str, now: float) -> None:
+        if now >= self.due.get(topic, 0.0):
+            since, read = self.newest.pop(topic)
+            if self.say("reading", topic, now - since, read()):
+                self.due[topic] = now + 0.9 / self.followed.get(topic, 1.0)
+            else:
+                self.newest[topic] = since, read
 
     def _publish(self, topic: str, age: float, message: Any) -> None:
         self.graph.publish(topic, age, message)
@@ -209,6 +225,10 @@ class Bridge:
 
     def _cancel(self, number: int) -> None:
         self.graph.cancel(number)
+
+    def _pending(self, wanted: list[int]) -> None:
+        for number in self.graph.asked.keys() - set(wanted):
+            self.graph.cancel(number)
 
     def give_up(self, number: int) -> None:
         """Ask for it no more."""

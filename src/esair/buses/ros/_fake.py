@@ -140,7 +140,7 @@ class _Graph:
     ros: FakeRos
     bridge: Bridge
     topics: set[str]
-    working: dict[int, asyncio.Task[None]]
+    asked: dict[int, asyncio.Task[None]]
 
     def publish(self, topic: str, _age: float, message: Any) -> None:
         self.ros.published.append((topic, message))
@@ -148,7 +148,7 @@ class _Graph:
     def call(self, number: int, name: str, message: Any) -> None:
         loop = asyncio.get_running_loop()
         work = self._work(number, name, message)
-        self.working[number] = spawn(loop, work, name=f"{name} is served")
+        self.asked[number] = spawn(loop, work, name=f"{name} is served")
 
     async def _work(self, number: int, name: str, message: Any) -> None:
         say = self.bridge.say
@@ -162,11 +162,11 @@ class _Graph:
         except Exception as error:
             say("answer", number, "failed", str(error))
         finally:
-            del self.working[number]
+            del self.asked[number]
 
     def cancel(self, number: int) -> None:
-        if number in self.working:
-            self.working[number].cancel()
+        if number in self.asked:
+            self.asked[number].cancel()
 
     def strangers(self) -> list[tuple[str, str, str, str]]:
         others, self.ros.others = self.ros.others, []
