@@ -142,6 +142,22 @@ async def test_one_signal_is_a_number_and_the_others_rest(fake_can: Any) -> None
     assert wire.sent[-1].data == bytes([0, 0, 0xF4, 1, 1, 0])
 
 
+@pytest.mark.promise("AC-1")
+async def test_what_is_rounded_is_told_and_beyond_no_limit(fake_can: Any) -> None:
+    """A frame has thousandths: half of one is none, and 0.0015 would be 0.002."""
+    wire = fake_can("drive")
+    one = command(wire, signal="left", safe=0.0, limits=(-1.0, 0.0015))
+
+    async with opened(command(wire), one) as wheels:
+        assert await wheels.write({"left": 0.5, "right": 1}) is None
+        told = await wheels.write({"left": 0.0014, "right": 1})
+        assert told == {"left": 0.001, "right": 1}
+        assert await one.write(0.0015) == 0.001
+        await asyncio.sleep(0)
+
+    assert wire.sent[-1].data[:2] == bytes([1, 0])
+
+
 async def test_limits_come_from_the_file_and_can_be_narrowed(fake_can: Any) -> None:
     """By [min|max], or else by what the bits can hold; wider is a mistake."""
     wire = fake_can("drive")

@@ -48,7 +48,7 @@ from typing import Any, ClassVar, Final, Literal, Unpack
 from esair.buses import CanBus, Frame, Inbox
 from esair.buses.can import FD_SIZES, Mask
 from esair.drivers._files import described, narrowed
-from esair.drivers._on_bus import ended, heard
+from esair.drivers._on_bus import applied, ended, heard, in_units
 from esair.drivers.dbc._j1939 import (
     SOURCE,
     TRANSPORT,
@@ -627,9 +627,10 @@ class DbcActuator(Actuator[Any]):
             await self._claim.leave(self.report_lost)
         await ended(self._repeating)
 
-    async def write(self, command: Any) -> None:
-        """Send a command."""
-        values = self._values(command)
+    async def write(self, command: Any) -> Any:
+        """Send a command; returns what it is in the units of its signals, if another."""
+        sent = self._rounded(command)
+        values = self._values(command if sent is None else sent)
         self._last = values
         self._last_is_safe = command == self.safe
         self._written = asyncio.get_running_loop().time()
@@ -642,6 +643,20 @@ class DbcActuator(Actuator[Any]):
             raise
         finally:
             self._writing -= 1
+        return sent
+
+    def _rounded(self, command: Any) -> Any:
+        rounded = {}
+        for name, value in self._by_name(command).items():
+            signal = self.codec.signals[name]
+            if not (signal.is_float or isinstance(value, str)):
+                unit, offset = signal.scale, signal.offset
+                units = in_units(value, unit, self._within.get(name), offset)
+                if (sent := applied(value, units * unit + offset)) is not None:
+                    rounded[name] = sent
+        if not rounded:
+            return None
+        return {**command, **rounded} if self.signal is None else rounded[self.signal]
 
     async def _send(self, values: Signals) -> None:
         values = self._numbered(values, self._count)
@@ -696,7 +711,10 @@ class DbcActuator(Actuator[Any]):
         try:
             return self.codec.encode(values)
         except FrameError as error:
-            raise BadValueError(self.name, "command", str(error)) from error
+            raise self._refusal("command", str(error)) from error
+
+    def _refusal(self, field: object, told: str) -> BadValueError:
+        return BadValueError(self.name, str(field), told)
 
     def _by_name(self, command: Any) -> Mapping[str, Any]:
         return command if self.signal is None else {self.signal: command}
@@ -746,22 +764,18 @@ class DbcActuator(Actuator[Any]):
         for name, value in command.items():
             if name not in self._free:
                 hint = hint_for(str(name), sorted(self._free))
-                raise BadValueError(
-                    self.name, str(name), f"there is no such signal{hint}"
-                )
+                raise self._refusal(name, f"there is no such signal{hint}")
             self._check(self.codec.signals[name], value)
         whole = command if self.signal is None else command[self.signal]
         try:
             values = self._numbered(self._values(whole), self._count)
             selected = self.codec.selected(values)
         except FrameError as error:
-            field = self.signal or "command"
-            raise BadValueError(self.name, field, str(error)) from error
+            raise self._refusal(self.signal or "command", str(error)) from error
         for name in command:
             if name not in selected:
-                raise BadValueError(
-                    self.name, name, "the multiplexer does not select this signal"
-                )
+                told = "the multiplexer does not select this signal"
+                raise self._refusal(name, told)
         return values
 
     def _check(self, signal: Signal, value: Any) -> None:
@@ -770,17 +784,12 @@ class DbcActuator(Actuator[Any]):
         if isinstance(value, str):
             if value not in choices.values():
                 hint = hint_for(value, sorted(choices.values()))
-                raise BadValueError(
-                    self.name, name, f"{value!r:.80} is no choice{hint}"
-                )
+                raise self._refusal(name, f"{value!r:.80} is no choice{hint}")
             return
         is_many = isinstance(value, bool) and signal.length > 1
         if is_many or not isinstance(value, int | float):
-            raise BadValueError(
-                self.name, name, f"expected a number, not {value!r:.80}"
-            )
+            raise self._refusal(name, f"expected a number, not {value!r:.80}")
         low, high = self._within.get(name) or bounds(signal)
         if not low <= value <= high and value not in choices:
-            raise BadValueError(
-                self.name, name, f"expected {low:g} to {high:g}, not {value!r:.80}"
-            )
+            told = f"expected {low:g} to {high:g}, not {value!r:.80}"
+            raise self._refusal(name, told)
