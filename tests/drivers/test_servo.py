@@ -41,10 +41,12 @@ from esair.drivers.servo import (
 )
 from esair.drivers.servo._bus import Packets
 from esair.drivers.servo.fake import (
+    FASTEST,
     GREATEST,
     LEAST,
     PING,
     READ,
+    STRONGEST,
     SYNC_READ,
     SYNC_WRITE,
     WRITE,
@@ -524,6 +526,40 @@ async def test_a_goal_beyond_its_own_limits_is_cut_off(
     await servo.bus.read(1, PRESENT_POSITION, 4)
 
     assert fakes.servos[1].get(PRESENT_POSITION) == 3000
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.parametrize(
+    ("kind", "limit", "goal", "taken"),
+    [
+        (ServoVelocity, FASTEST, GOAL_VELOCITY, 200),
+        (ServoCurrent, STRONGEST, GOAL_CURRENT, 100),
+    ],
+)
+@pytest.mark.parametrize("sign", [1, -1])
+async def test_what_is_more_than_it_takes_is_cut_off(
+    bus: ServoBus,
+    fakes: FakeServos,
+    kind: Any,
+    limit: int,
+    goal: int,
+    taken: int,
+    sign: int,
+) -> None:
+    """A velocity or a current, as a goal: it would not change without a word."""
+    servo = kind(bus=bus)
+    fakes.servos[1].put(limit, taken)
+    most = taken * (bus.table.velocity_unit if kind is ServoVelocity else 0.00269)
+    await bus.open()
+    await servo.open()
+
+    assert await servo.write(sign * most) is None
+    assert await servo.write(sign * servo.limits[1]) == pytest.approx(sign * most)
+    await bus.read(1, PRESENT_POSITION, 4)
+
+    size = 4 if kind is ServoVelocity else 2
+    data = fakes.servos[1].table[goal : goal + size]
+    assert int.from_bytes(data, "little", signed=True) == sign * taken
 
 
 @pytest.mark.virtual_clock

@@ -188,6 +188,8 @@ class Torqued(_OnServo, Actuator[T]):
         super().__init__(**settings)
         self.claim: str = f"servo {self.id}"
         self._torque = False
+        self._takes = -math.inf, math.inf
+        """The least and the greatest number that the servo takes."""
 
     async def open(self) -> None:
         """Make sure that the servo answers, and is in its mode; nothing moves by that."""
@@ -265,8 +267,6 @@ class Servo(Torqued[Goal]):
         super().__init__(**settings)
         self.safe = safe
         self._told_speed: int | None = None
-        self._takes = -math.inf, math.inf
-        """The least and the greatest step that the servo takes for a goal."""
         turns = self.bus.table.goal.has_sign_bit  # it may go on for some of them
         most = to_angle(0x7FFF) if turns else math.pi
         low, high = narrowed(self.name, "limits", limits, (-most, most), by="a servo")

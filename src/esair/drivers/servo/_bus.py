@@ -133,6 +133,8 @@ class Table(NamedTuple):
         light: Its light, which a restart puts out; None if it has none.
         lock: What keeps its mode from being changed; None if nothing does.
         limits: Its greatest and its least goal, in one block; None if it takes any.
+        fastest: The greatest velocity that it takes; None if it takes any.
+        strongest: The greatest current that it takes; None if it takes any.
     """
 
     torque: int
@@ -152,6 +154,8 @@ class Table(NamedTuple):
     light: int | None = None
     lock: int | None = None
     limits: Entry | None = None
+    fastest: Entry | None = None
+    strongest: Entry | None = None
 
     @property
     def places(self) -> list[int]:
@@ -201,6 +205,8 @@ DYNAMIXEL_X: Final = Table(
     mapped=168,
     light=65,
     limits=Entry(48, 8),
+    fastest=Entry(44, 4),
+    strongest=Entry(38, 2),
 )
 """The X series of ROBOTIS: the control table of the XL430-W250."""
 

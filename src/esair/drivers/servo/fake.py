@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import struct
 from collections.abc import Iterable, Mapping
 from typing import Protocol
@@ -11,7 +12,9 @@ from esair.buses import Bus, Wire
 from esair.buses.serial import MemoryLine
 from esair.drivers.servo import (
     CENTER,
+    GOAL_CURRENT,
     GOAL_POSITION,
+    GOAL_VELOCITY,
     HARDWARE_ERROR,
     OPERATING_MODE,
     PRESENT_POSITION,
@@ -37,7 +40,7 @@ ACCESS_ERROR = 7
 LIMIT_ERROR = 6
 """What it answers to a goal beyond its limits, which it does not take."""
 
-GREATEST, LEAST = 48, 52
+STRONGEST, FASTEST, GREATEST, LEAST = 38, 44, 48, 52
 """Where the table has them."""
 
 TABLE_SIZE = 252
@@ -74,6 +77,8 @@ class FakeServo:
         for place in range(28):
             self.table[MAP + 2 * place] = MAPPED + place
         self.shut_down = 0
+        self.put(STRONGEST, 2047)
+        self.put(FASTEST, 265)
         self.put(GREATEST, 4095)
         self.put(GOAL_POSITION, steps)
         self.put(PRESENT_POSITION, steps)
@@ -98,6 +103,13 @@ class FakeServo:
         place = MAP + 2 * (address - MAPPED)
         return int.from_bytes(self.table[place : place + 2], "little") % TABLE_SIZE
 
+    def _takes(self, address: int) -> tuple[float, float]:
+        if address == GOAL_POSITION and self.table[OPERATING_MODE] == 3:
+            return self.get(LEAST), self.get(GREATEST)
+        limits = {GOAL_VELOCITY: self.get(FASTEST), GOAL_CURRENT: self.get(STRONGEST)}
+        most = limits.get(address, math.inf)
+        return -most, most
+
     def obey(self, instruction: int, parameters: bytes) -> bytes:
         """Return what stands in the answer: the error, and what was asked for."""
         self.table[HARDWARE_ERROR] = self.shut_down
@@ -116,10 +128,9 @@ class FakeServo:
         if address == OPERATING_MODE and self.torque:
             return bytes([error | ACCESS_ERROR])
         in_turn = self.table[OPERATING_MODE] == 3
-        if address == GOAL_POSITION and in_turn:
-            goal = int.from_bytes(parameters[2:6], "little", signed=True)
-            if not self.get(LEAST) <= goal <= self.get(GREATEST):
-                return bytes([error | LIMIT_ERROR])
+        least, most = self._takes(address)
+        if not least <= int.from_bytes(parameters[2:], "little", signed=True) <= most:
+            return bytes([error | LIMIT_ERROR])
         if address == TORQUE_ENABLE and in_turn and not self.torque:
             self.put(PRESENT_POSITION, self.get(PRESENT_POSITION) % 4096)
         for n, byte in enumerate(parameters[2:]):

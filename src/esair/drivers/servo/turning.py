@@ -32,6 +32,7 @@ class _Turned(Torqued[float]):
 
     limits: tuple[float, float]
     _entry: Entry
+    _greatest: Entry | None
     _unit: float
 
     def safe_frames(self) -> SafeFrames:
@@ -39,14 +40,24 @@ class _Turned(Torqued[float]):
         entry = self._entry
         return SafeFrames([self.bus.packet(self.id, entry.address, 0, entry.size)])
 
+    async def open(self) -> None:
+        """Make sure that the servo answers, and is in its mode; nothing moves by that."""
+        await super().open()
+        if (entry := self._greatest) is not None:
+            most = await self.bus.read(self.id, entry.address, entry.size)
+            self._takes = -most, most
+
     async def write(self, command: float) -> float | None:
         """Tell the servo, with torque from the first command that is not safe.
 
-        Returns the command in the units of its table, if that is another one.
+        Returns the command in the units of its table, and within the limit that it has
+        itself, if that is another one.
         """
         await self._check_set_up()
         is_safe = command == self.safe
-        units = in_units(command, self._unit, self.limits)
+        least, most = self._takes
+        wanted = in_units(command, self._unit, self.limits)
+        units = int(min(max(least, wanted), most))
         await self._tell(self._entry, units, is_safe=is_safe, needs_torque=not is_safe)
         return applied(command, units * self._unit)
 
@@ -69,6 +80,7 @@ class ServoVelocity(_Turned):
     ) -> None:
         super().__init__(**settings)
         self._entry = self.bus.table.velocity
+        self._greatest = self.bus.table.fastest
         self._unit = self.bus.table.velocity_unit
         most = ((1 << 8 * self._entry.size - 1) - 1) * self._unit
         within = narrowed(self.name, "limits", limits, (-most, most), by="a servo")
@@ -101,6 +113,7 @@ class ServoCurrent(_Turned):
         if table.current is None:
             raise ConfigError(self.name, "bus", "its servos have no current mode")
         self._entry = table.current
+        self._greatest = table.strongest
         unit = table.current_unit if unit is None else unit
         if not 0 < unit < 1:
             raise ConfigError(self.name, "unit", f"expected A, above 0, not {unit!r}")
