@@ -411,6 +411,31 @@ async def test_one_name_has_one_address(make: Any, wire: Any) -> None:
 
 
 @pytest.mark.promise("SC-3")
+async def test_what_stays_unavailable_is_lost(wire: Any, tmp_path: Path) -> None:
+    """The last value would be current for ever; it is back with the next one."""
+    (database := tmp_path / "engine.dbc").write_text(FILE)
+    limit = DbcSensor(
+        name="limit", bus=wire, database=database, message="Torque", signal="limit"
+    )
+
+    async def feed(raw: int) -> None:
+        data = b"\0" + raw.to_bytes(2, "little") + bytes(5)
+        wire.feed(0x0C000027, data, extended=True)
+        await asyncio.sleep(0.1)
+
+    async with esair.Robot(resources=[limit]) as robot:
+        states = []
+        for raw in (0xFAFF, *[0xFF00] * 200):
+            await feed(raw)
+            states.append(robot.resources.query("limit").state)
+        assert states[:3] == [ResourceState.READY] * 3
+        assert set(states[50:]) == {ResourceState.LOST}
+        for _ in range(60):
+            await feed(0xFAFF)
+        assert robot.resources.query("limit").state is ResourceState.READY
+
+
+@pytest.mark.promise("SC-3")
 @pytest.mark.parametrize("raw", [0xFE00, 0xFEFF, 0xFF00, 0xFFFF])
 async def test_what_is_not_available_is_no_value(
     wire: Any, tmp_path: Path, raw: int

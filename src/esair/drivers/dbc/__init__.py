@@ -278,7 +278,8 @@ class DbcSensor(Sensor[Any]):
 
     A message of J1939 with more than 8 bytes is put together of its packets (the transport
     protocol), announced to all or sent to another node; this one asks for none. Of it a
-    reading has no signals that say "error" or "not available", beyond their greatest value.
+    reading has no signals that say "error" or "not available", beyond their greatest value;
+    if that is the only one again and again, without ``silent_after``, the sensor is lost.
 
     Args:
         database: The DBC file.
@@ -348,6 +349,7 @@ class DbcSensor(Sensor[Any]):
         self.sources: dict[int, int] = {}
         self.buffer: int = check_whole(self.name, "buffer", buffer, 1)
         self.bad_frames = self.repeated = self.missed = 0
+        self._absent_in_row = 0
         self._numbers: dict[int, int] = {}
         self._dropped = 0
         self._inbox: Any = None
@@ -406,7 +408,11 @@ class DbcSensor(Sensor[Any]):
                 if signal is None:
                     yield values
                 elif signal in values:  # it is not multiplexed away
+                    self._absent_in_row = 0
                     yield str(values[signal]) if as_text else values[signal]
+                elif self._absent_in_row >= self.fault_limit and not self.silent_after:
+                    told = f"{signal} is not available"  # else the last value stayed
+                    raise DeviceLostError(self.name, told)
 
     def _decoded(self, frame: Frame) -> Signals:
         """Return the signals of a frame that is none of before once more."""
@@ -417,6 +423,7 @@ class DbcSensor(Sensor[Any]):
             raise
         for name in [each for each in self._is_absent if self._is_absent[each](values)]:
             del values[name]
+            self._absent_in_row += name == self.signal
         if not isinstance(self._ids, int):
             sender = frame.id & SOURCE
             self.sources[sender] = self.sources.get(sender, 0) + 1
