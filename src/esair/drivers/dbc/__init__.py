@@ -234,9 +234,8 @@ def find_message(component: str, database: Path | str, name: str) -> Message:
     by_name: dict[str, Message] = {each.name: each for each in found.messages}
     if name not in by_name:
         hint = hint_for(name, sorted(by_name))
-        raise ConfigError(
-            component, "message", f"{path.name} has no message {name!r}{hint}"
-        )
+        told = f"{path.name} has no message {name!r}{hint}"
+        raise ConfigError(component, "message", told)
     if by_name[name].is_container:
         raise ConfigError(component, "message", f"{name!r} is a container of messages")
     return by_name[name]
@@ -250,9 +249,8 @@ def find_signal(component: str, field: str, codec: MessageCodec, name: str) -> S
     """
     if name not in codec.signals:
         hint = hint_for(name, sorted(codec.signals))
-        raise ConfigError(
-            component, field, f"{codec.message.name} has no signal {name!r}{hint}"
-        )
+        told = f"{codec.message.name} has no signal {name!r}{hint}"
+        raise ConfigError(component, field, told)
     return codec.signals[name]
 
 
@@ -263,9 +261,8 @@ def modulus_of(component: str, codec: MessageCodec, name: str | None) -> int:
     signal = find_signal(component, "sequence", codec, name)
     plain = (signal.scale, signal.offset) == (1, 0)
     if signal.is_float or signal.is_signed or not plain:
-        raise ConfigError(
-            component, "sequence", f"{name!r} is no unsigned whole number"
-        )
+        told = f"{name!r} is no unsigned whole number"
+        raise ConfigError(component, "sequence", told)
     highest = (1 << signal.length) - 1
     return int(highest if signal.maximum is None else min(signal.maximum, highest)) + 1
 
@@ -400,9 +397,8 @@ class DbcSensor(Sensor[Any]):
                 except FrameError as error:
                     bad_in_row += 1
                     if bad_in_row >= self.bad_frame_limit:
-                        raise DeviceFaultError(
-                            self.name, f"{bad_in_row} bad frames in a row: {error}"
-                        ) from error
+                        told = f"{bad_in_row} bad frames in a row: {error}"
+                        raise DeviceFaultError(self.name, told) from error
                     continue
                 bad_in_row = 0
                 if signal is None:
