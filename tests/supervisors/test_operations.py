@@ -687,6 +687,13 @@ class Latch(Fence):
     lift = esair.guards(float, latch=True)
 
 
+class Low(Fence):
+    """Computes with the place, too."""
+
+    def react(self, door: bool, lift: float) -> float | None:
+        return None if door else min(lift, 0.8)
+
+
 def fenced(lift: Any, door: Any, guard: esair.Reaction) -> esair.Robot:
     policy = esair.Policy("lift", allow={"*": ALL | Access.GUARD})
     return esair.Robot(resources=[lift, door], behaviors=[guard], policies=[policy])
@@ -782,10 +789,6 @@ async def test_a_guard_of_places_is_asked_with_that_where_the_device_stays(
             await super().write(command)
             return 0.5
 
-    class Low(Fence):
-        def react(self, door: bool, lift: float) -> float | None:
-            return None if door else min(lift, 0.8)
-
     servo, door = Servo(name="lift"), fake_sensor("door", True)
     async with fenced(servo, door, Low()) as robot:
         mine = await right(robot)
@@ -793,6 +796,30 @@ async def test_a_guard_of_places_is_asked_with_that_where_the_device_stays(
             await robot.resources.operate(mine, "home")
         door.feed(False)
         await asyncio.sleep(0.1)
+        assert await robot.resources.operate(mine, "home") == 0.25
+
+
+@pytest.mark.promise("PRO-5")
+@pytest.mark.parametrize("guard", [Fence, Low])
+async def test_a_place_that_nobody_knows_crashes_no_guard(
+    guard: type[esair.Reaction], fake_sensor: Any
+) -> None:
+    """It is asked with `HOLD`; who computes with that has not let it pass."""
+
+    class Silent(Lift):
+        safe: Any = esair.HOLD
+
+    lift, door = Silent(name="lift"), fake_sensor("door", True)
+    async with fenced(lift, door, guard(name="fence")) as robot:
+        mine = await right(robot)
+        with pytest.raises(esair.AccessDeniedError, match="fence guards lift"):
+            await robot.resources.operate(mine, "home")
+        door.feed(False)
+        await asyncio.sleep(0.1)
+        if guard is Low:
+            with pytest.raises(esair.AccessDeniedError, match="fence guards lift"):
+                await robot.resources.operate(mine, "home")
+            await robot.actuators.write(mine, 0.5)
         assert await robot.resources.operate(mine, "home") == 0.25
 
 

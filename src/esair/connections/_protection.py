@@ -174,14 +174,19 @@ class Protection:
                     f"or None, not {passed!r:.80}",
                 )
         except BaseException as error:  # contained: one component's failure
-            self.crash(error, command)
+            if (
+                command is not HOLD
+            ):  # where nobody knows that, it cannot be computed with
+                self.crash(error, command)
             return None
         return command if is_same(passed, command) else passed
 
     @staticmethod
     def _answer(judge: Judge, command: Any) -> Any:
         passed = judge(command)
-        return None if passed is REFUSE or passed is HOLD else passed
+        if passed is REFUSE or (passed is HOLD and command is not HOLD):
+            return None
+        return passed
 
     def note(self, stops: bool) -> None:
         """Say in the log when a guard begins and ceases to stop commands."""
@@ -357,7 +362,7 @@ class Guards:
             has; and what passes.
         """
         wire, still = self._wire, self._wire.still
-        self.asked = command
+        self.asked = None if command is HOLD else command
         by: str | None = None
         for number, guard in enumerate(self.all, 1):
             weighed = guard.weigh(command, still, moving=moving, hand=wire.copied)
@@ -381,7 +386,7 @@ class Guards:
         """Return the first that lets nothing pass now, for the sake of an operation.
 
         They are asked with what was asked for last: else with what is safe, or with where
-        the device stays.
+        the device stays; with `HOLD` if its driver does not say where that is.
         """
         if self.all:
             asked, told = self.asked, self._wire.told
