@@ -92,7 +92,7 @@ class TestReadBack(TestConfirmed):
         device = LineActuator(
             name="speed", safe=0.25, ack=True, reads_back=True, bus=line
         )
-        device.set_up_period = 0.2  # before what is safe is told again
+        device.set_up_period = 0.1  # before what is safe is told again
         return device
 
 

@@ -114,7 +114,7 @@ class TestReadBack(OnUnit, ActuatorContract):
         device = ModbusActuator(
             unit=3, register=8, safe=5.0, reads_back=True, bus=self.wire()
         )
-        device.set_up_period = 0.2  # before what is safe is told again
+        device.set_up_period = 0.1  # before what is safe is told again
         return device
 
     def commands(self) -> list[Any]:
@@ -133,7 +133,7 @@ class TestCoilReadBack(TestReadBack):
             reads_back=True,
             bus=self.wire(),
         )
-        device.set_up_period = 0.2
+        device.set_up_period = 0.1
         return device
 
     def commands(self) -> list[Any]:

@@ -202,6 +202,20 @@ class Eye(FakeSensor[float]):
     is_set_up, _now, _says = Lamp.is_set_up, Lamp._now, Lamp._says  # type: ignore[assignment]
 
 
+@pytest.mark.promise("ROB-4", "RES-4")
+async def test_what_is_safe_does_not_wait_until_a_set_up_is_told() -> None:
+    """Which may take as long as the part is silent, and moves nothing."""
+    lamp = Lamp("lamp", safe=0.0)
+    lamp.takes = 0.2
+    user: Any = esair.Behavior(name="user", writes={"lamp": esair.writes(float)})
+    async with esair.Robot(resources=[lamp], behaviors=[user]) as robot:
+        await asyncio.sleep(0.45)
+        assert await user.lamp.write(1.0)
+        await asyncio.sleep(0.1)
+        robot.halt("a test")
+        await lamp.until(0.0, timeout=0.01)
+
+
 @pytest.mark.promise("RES-4", "CALL-3")
 @pytest.mark.parametrize("takes", [0.0, 0.2])
 @pytest.mark.parametrize("make", [Lamp, Eye])

@@ -460,9 +460,9 @@ class SafeCommand:
                 until = device.time() + self.turn_within
                 if wire.lane is not None and wire.lane.kind == "write":
                     wire.lane.withdraw()
-                while wire.lane is not None and device.time() + REACHED < until:
-                    if wire.lane.kind == "apply":
-                        break  # it moves nothing, and may take its time
+                while device.time() + REACHED < until:
+                    if wire.lane is None or not wire.lane.may_move:
+                        break  # what moves nothing may take its time
                     await device.calls.next_end(until)
                 while True:
                     self.state = ON_ITS_WAY

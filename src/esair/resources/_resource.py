@@ -218,7 +218,7 @@ class Resource(abc.Resource):
             Write it for a part that can lose its power, or restart, without being
             unplugged: read a register back that is another one after a reset. Asked
             each `set_up_period`, and after each silence. If it is not, the part is
-            opened again and disarmed.
+            opened again and disarmed. Nothing but the safe command is called beside it.
             """
             return True
 
