@@ -140,6 +140,34 @@ async def test_who_leaves_a_unit_takes_no_answer_of_another() -> None:
     await can.close()
 
 
+@pytest.mark.promise("BUS-3")
+async def test_an_answer_that_takes_longer_is_nobody_elses() -> None:
+    """Whoever asked for it has gone meanwhile: what comes then is old."""
+    can = FakeCan()
+    sensor = UdsSensor(identifier=0xF405, layout="B", bus=can)
+
+    def answers(data: str) -> Callable[[], None]:
+        return can.answer(0x7E0, Frame(0x7E8, bytes.fromhex(data)))
+
+    forget = answers("0462f40501")
+    async with opened(sensor):
+        forget()
+        forget = answers("037f2278")
+        asking = asyncio.ensure_future(sensor.read())
+        await asyncio.sleep(1.0)
+        asking.cancel()
+        await asyncio.sleep(1.0)
+        forget()
+        can.feed(0x7E8, bytes.fromhex("037f2278"))
+        await asyncio.sleep(3.0)
+        asking = asyncio.ensure_future(sensor.read())
+        await asyncio.sleep(0.1)
+        answers("0462f40503")
+        can.feed(0x7E8, bytes.fromhex("0462f40502"))
+        assert await asking == 3.0
+        assert len(can.sent) == 3
+
+
 @pytest.mark.promise("BUS-5")
 async def test_a_full_bus_costs_one_answer() -> None:
     """The frame that asks for the rest of it finds no room; the node is heard on."""

@@ -139,6 +139,16 @@ class Exchanges:
             now.settle(message)
         return mine
 
+    def put_off(self, message: bytes, seconds: float) -> None:
+        """Wait for so many seconds more for the answer that a message announces."""
+        now = self.now
+        if now is not None and now.takes(message):
+            now.until = now.due = now.loop.time() + seconds
+            self.limit_wait(now)
+        for owed in [each for each in self.unanswered if each.takes(message)]:
+            self._hold(owed)
+            self._owe(owed, seconds + self._late_limit)
+
     def fail(self, error: BaseException) -> None:
         """Let the request that waits for its answer fail; after a loss all that wait."""
         if self.now is not None:

@@ -475,9 +475,7 @@ class IsoTp(SharedTask):
                     extended=frame.is_extended_id,
                 )
         while (message := self._layer.recv()) is not None:
-            now = self.exchanges.now
-            if now is not None and self.is_pending(bytes(message)):
-                now.until = asyncio.get_running_loop().time() + self.patience
-                self.exchanges.limit_wait(now)
+            if self.is_pending(bytes(message)):
+                self.exchanges.put_off(bytes(message), self.patience)
             else:
                 self.exchanges.offer(bytes(message))
