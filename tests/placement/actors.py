@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
-from typing import Any
+from typing import Any, Final
 
 import attrs
 
@@ -403,6 +403,30 @@ class Values(esair.Sensor[float]):
     async def zero(self) -> str:
         self.value = 0.0
         return "zeroed"
+
+
+LEAVES: Final = {"exit": SystemExit(3), "cancel": asyncio.CancelledError()}
+
+
+class Leaves(esair.Sensor[float]):
+    """Raises in its `open` what would end a program, or a task."""
+
+    def __init__(self, how: str, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.how = how
+
+    async def open(self) -> None:
+        raise LEAVES[self.how]
+
+    async def read(self) -> float:
+        return 0.0
+
+
+class PlainLeaves(Leaves):
+    """The same, as it is written with plain methods."""
+
+    def open(self) -> None:  # type: ignore[override]
+        raise LEAVES[self.how]
 
 
 class Deaf(esair.Sensor[float]):

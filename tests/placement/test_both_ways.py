@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from tests.placement.actors import (
+    LEAVES,
     Acts,
     Ages,
     AgesAsStep,
@@ -16,7 +17,9 @@ from tests.placement.actors import (
     Follow,
     Gets,
     Gives,
+    Leaves,
     PlainGets,
+    PlainLeaves,
     Pushed,
     SmallFollow,
     Told,
@@ -546,6 +549,19 @@ async def test_a_sensor_is_read_set_and_operated(place: Place, kind: Any) -> Non
             await robot.resources.configure(registered, gain=3.0)
             assert robot.resources.get("eye").gain == 3.0
             assert await robot.resources.operate(registered, "zero") == "zeroed"
+
+
+@pytest.mark.promise("PLC-1", "PLC-3")
+@pytest.mark.parametrize("kind", [Leaves, PlainLeaves])
+@pytest.mark.parametrize("how", LEAVES)
+async def test_what_no_driver_should_raise_is_told_in_one_way(
+    place: Place, kind: Any, how: str
+) -> None:
+    """As an error of its driver, whatever that is written in and wherever it runs."""
+    async with World(Waits(), resources=[place(kind(how, name="eye"))]) as world:
+        error = world.robot.resources.query("eye").error
+        assert isinstance(error, esair.DeviceLostError)
+        assert f"the driver raised {type(LEAVES[how]).__name__}" in str(error)
 
 
 # Circles of requests.

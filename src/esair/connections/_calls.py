@@ -49,6 +49,7 @@ from esair.loop import (
     current_task_of,
     current_tasks,
     leave_line,
+    raisable,
     waits_in_line,
     wake,
 )
@@ -356,7 +357,7 @@ class Calls:
             try:
                 value = self.caller.context.run(method.function, *args)
             except BaseException as error:
-                raise self._contained(error) from error.__cause__
+                raise raisable(error, "the driver") from error.__cause__
             if value is None or not hasattr(value, "__await__"):
                 return value
             method, args = _REST, (value,)
@@ -373,7 +374,7 @@ class Calls:
             coroutine = method.function(*args)
             waits_for = self.caller.context.run(light.send, coroutine)
         except BaseException as error:
-            contained = self._contained(error)
+            contained = raisable(error, "the driver")
             raise contained from contained.__cause__
         finally:
             if caller is None:
@@ -420,7 +421,7 @@ class Calls:
                 coroutine = method.function(*args)
             value = self._steps.begin(coroutine, self.caller)
         except BaseException as error:
-            contained = self._contained(error)
+            contained = raisable(error, "the driver")
             raise contained from contained.__cause__
         if type(value) is not LightTask or value.get_coro() is None:
             return value  # also a light task that the driver has returned
@@ -545,7 +546,7 @@ class Calls:
             return
         self._rest()
         if end.error is not None:
-            end = End(None, self._contained(end.error))
+            end = End(None, raisable(end.error, "the driver"))
         self._tell(call, end)
 
     def next_opening(self, error: BaseException) -> None:
@@ -626,14 +627,6 @@ class Calls:
             call.apply(call, end)
         if call.waiters:
             call.wake()
-
-    def _contained(self, error: BaseException) -> Exception:
-        """Make an error that may be raised in any task of what the driver has raised."""
-        if isinstance(error, Exception) and not isinstance(error, StopIteration):
-            return error
-        fault = DeviceFaultError(self.resource, describe(error))
-        fault.__cause__ = error
-        return fault
 
     def _check_abandoned(self, kind: str) -> None:
         if kind in {"safe", "close"}:

@@ -400,6 +400,7 @@ class Child(Exchange):
             self.reacting[0] = Reacting(self, made)
         else:
             assert isinstance(made, Sensor)
+            self.who = "the driver"
             made._listener = self._device_said  # noqa: SLF001 - as its life does
             self.loop.runs = not self.loop.is_of_virtual
 
@@ -412,7 +413,7 @@ class Child(Exchange):
         if error is None:
             self.note("arrived")
         else:
-            self.note("lost", raisable(error))
+            self.note("lost", raisable(error, self.who))
 
     async def _apply(self, **changes: Any) -> None:
         await _called(self.component.apply)(**changes)
@@ -471,7 +472,7 @@ async def _of_thread(values: Iterator[Any]) -> AsyncIterator[Brought]:
         try:
             return Brought(next(values, end), time.monotonic())
         except BaseException as error:
-            raise raisable(error) from error
+            raise raisable(error, "the driver") from error
 
     thread = concurrent.futures.ThreadPoolExecutor(1)
     while (brought := await asyncio.wrap_future(thread.submit(wait))).value is not end:

@@ -228,6 +228,8 @@ class Exchange:
 
     def __init__(self, name: str, kinds: Kinds, loop: Any, owner: Owner) -> None:
         self.name = name
+        self.who = "it"
+        """What errors of its code call it that say nothing of a driver or a reaction."""
         self.kinds = kinds
         self.loop = loop
         self.owner = owner
@@ -329,7 +331,7 @@ class Exchange:
     def pack_error(self, error: BaseException) -> bytes:
         """Return an error, and where it was raised, as bytes."""
         is_plain = isinstance(error, EsairError | asyncio.CancelledError)
-        wanted = error if is_plain else raisable(error)
+        wanted = error if is_plain else raisable(error, self.who)
         where = "" if is_plain else told_traceback(error)[-NOTE:]
         try:
             return encode((wanted, where), self.kinds)
