@@ -2,7 +2,7 @@
 
 It reads commands as lines of JSON, and prints what it hears as lines of JSON:
 ``publish TOPIC TYPE FIELDS RATE``, ``hear TOPIC TYPE``, ``call``, ``goal``, ``cancel``,
-``serve``, ``serve_action``, ``names``.
+``serve``, ``serve_action``, ``names``, ``simulate NODE``: its time, by a clock that stands still.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ import threading
 import time
 
 import rclpy
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient, ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import SingleThreadedExecutor
@@ -128,6 +130,17 @@ class Judge:
 
     def cancel(self):
         self.goal_handle.cancel_goal_async()
+
+    def simulate(self, node):
+        name = "/" + node + "/set_parameters"
+        client = self.node.create_client(SetParameters, name, callback_group=self.group)
+        client.wait_for_service(10.0)
+        value = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
+        told = SetParameters.Request(
+            parameters=[Parameter(name="use_sim_time", value=value)]
+        )
+        future = client.call_async(told)
+        future.add_done_callback(lambda _: tell("simulated", node))
 
     def names(self):
         tell("names", sorted(self.node.get_node_names()))

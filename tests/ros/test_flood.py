@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import queue
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, ClassVar
 
 import pytest
 from tests.ros.parts import Beating, Citizen, Motion, twist
@@ -13,8 +15,19 @@ from tests.ros.parts import Beating, Citizen, Motion, twist
 import esair
 from esair.buses import ros
 from esair.buses.ros import Process
-from esair.buses.ros._child import ASKED, KEPT, MOST, SHARE
+from esair.buses.ros._child import (
+    ASKED,
+    KEPT,
+    LARGEST,
+    MOST,
+    SHARE,
+    Bridge,
+    Outbox,
+    pack,
+    unpack,
+)
 
+HEAD = [7, 1, 0, 0, 0.0]
 CHILD = str(Path(ros.__file__).parent / "_child.py")
 
 
@@ -55,6 +68,43 @@ async def test_what_ros_has_cancelled_is_forgotten() -> None:
             await asyncio.sleep(0.1)
         assert citizen.lamp.cancelled == 20
         assert citizen.network._served == {}
+
+
+@pytest.mark.promise("ROS-2")
+def test_what_is_too_large_is_told_and_not_sent() -> None:
+    """The robot takes no frame of more than four megabytes, and would end the process."""
+    sent: queue.Queue[bytes] = queue.Queue()
+    box = Outbox(sent.put, None)
+    assert box.send(["reading", *HEAD, "/big", 0.0, "x" * LARGEST])
+    told = unpack(sent.get(timeout=10.0)[4:])
+    assert told == ["large", *HEAD, "reading /big is larger than 1 MiB"]
+
+
+@pytest.mark.promise("ROS-1")
+def test_bytes_are_bytes_and_no_dictionary_is_taken_for_them() -> None:
+    """What marks bytes is no name of a field in ROS: it is refused where it is sent."""
+    assert unpack(pack(["x", {"a": b"\0\1"}])[4:]) == ["x", {"a": b"\0\1"}]
+    for odd in ({"#": 5}, {"a": [{"#": "AAE="}]}):
+        with pytest.raises(ValueError, match="no field of ROS is called '#'"):
+            pack(["x", odd, b"\0\1"])
+
+
+@pytest.mark.promise("ROS-1", "NET-3")
+def test_an_ask_that_is_not_known_there_is_lost() -> None:
+    """Its answer was too large, or the process is another one by now."""
+    said: list[Any] = []
+
+    class Graph:
+        asked: ClassVar[dict[int, Any]] = {}
+
+    def send(frame: Any) -> bool:
+        said.append(frame)
+        return True
+
+    bridge = Bridge(send)
+    bridge.begin(Graph(), {})
+    bridge.took(["pending", *HEAD, [5]])
+    assert said[-1][6:] == [5, "lost", "it is not known there"]
 
 
 STALLED = """
@@ -128,7 +178,7 @@ def take():
     return child.unpack(stream.read(struct.unpack(">I", size)[0]))
 
 class Graph:
-    topics, asked = {{"/cmd_vel": None, "/range": None}}, {{}}
+    topics, asked, missing = {{"/cmd_vel": None, "/range": None}}, {{}}, {{}}
     publish = call = cancel = lambda *_: None
     strangers = lambda _: ()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import contextlib
 import functools
 import json
@@ -441,6 +442,49 @@ async def test_a_topic_at_a_thousand_hertz_slows_nothing() -> None:
         assert len(late) >= 140, (len(late), rate)
         assert late[len(late) * 95 // 100] < 0.01, (late[-10:], rate)
         assert len(made.wheels.commands) - told >= 30
+
+
+@pytest.mark.promise("ROS-2")
+@pytest.mark.fault("T01")
+async def test_time_that_stands_still_in_ros_stops_nothing() -> None:
+    """It is simulated there, or set back: beats and ages are of the steady clock."""
+    made = citizen()
+    async with judging() as judge, made.robot() as robot:
+        judge.do("publish", "/cmd_vel", "geometry_msgs/msg/Twist", twist(0.3), 50.0)
+        await there(robot)
+        judge.do("simulate", "rover")
+        await judge.until("simulated")
+        judge.do("hear", "/sonar", "std_msgs/msg/Float32")
+        await asyncio.sleep(1.0)
+        told = len(made.wheels.commands)
+        await until(lambda: made.wheels.commands[told:].count(Motion(0.3, 0.0)) > 100)
+        made.sonar.feed(0.25)
+        while (await judge.until("heard", "/sonar"))[2] != {"data": 0.25}:
+            pass
+
+
+@pytest.mark.promise("ROS-2", "ROB-3")
+async def test_what_cannot_be_had_of_ros_keeps_nothing_else_away() -> None:
+    """A package that is not there, and a message of six megabytes: each is told."""
+    made, hand = citizen(), Hand()
+    made.network.links += [
+        Citizen.heard("/odd", "no_such_msgs/msg/Odd"),
+        Citizen.out("/odd", "no_such_msgs/msg/Odd", "sonar"),
+        Citizen.call("/far_light", "out", "far", "no_such_msgs/srv/Odd", Light),
+        Citizen.heard("/big", "std_msgs/msg/UInt8MultiArray"),
+    ]
+    made.sensors += [made.sensor("odd", "/odd"), made.sensor("big", "/big")]
+    async with judging() as judge, made.robot(hand) as robot:
+        big = {"data": {"#": base64.b64encode(bytes(6_000_000)).decode()}}
+        judge.do("publish", "/big", "std_msgs/msg/UInt8MultiArray", big, 5.0)
+        judge.do("publish", "/cmd_vel", "geometry_msgs/msg/Twist", twist(0.3), 50.0)
+        await there(robot)
+        await until(lambda: "no_such_msgs" in str(robot.resources.query("odd").error))
+        with pytest.raises(esair.RefusedError, match="no_such_msgs"):
+            await hand.ask("far_light", Light(True))
+        await until(lambda: made.bus.stats.bad_frames > 3)
+        await until(lambda: made.wheels.commands.count(Motion(0.3, 0.0)) > 50)
+        assert made.bus.stats.lost == 0
 
 
 @pytest.mark.promise("ROS-3")

@@ -29,6 +29,8 @@ LOOK = 20  # beats after which it looks for other types, and tells what it wants
 UNKNOWN = "_NODE_NAME_UNKNOWN_"  # as DDS calls a node of which it has not heard yet
 SHARE = 4  # readings of one topic that may wait to be sent; what comes then is dropped
 KEPT = 1 << 20  # bytes that may wait: beyond that one reading of a topic
+LARGEST = 1 << 22  # bytes that a frame may have: a message of 1 MiB as text, and more
+PAUSE = 3.0  # how much longer other work is done after a reading than that has taken
 WAITING = 64  # frames of the robot that may wait, and beats for it
 MOST = 1024  # of anything; a robot that does not listen is no robot, and it ends
 ASKED = 64  # requests of ROS that may be under way; what is asked then is refused
@@ -36,7 +38,15 @@ ASKED = 64  # requests of ROS that may be under way; what is asked then is refus
 
 def pack(frame: Any) -> bytes:
     """Return a frame as bytes: its length, then JSON, with bytes in base 64."""
-    data = json.dumps(frame, default=_blob).encode()
+    blobs: list[Any] = []
+
+    def blob(value: Any) -> dict[str, str]:
+        blobs.append(value)
+        return _blob(value)
+
+    data = json.dumps(frame, default=blob).encode()
+    if data.count(b'"#": ') > len(blobs):
+        raise ValueError("no field of ROS is called '#'")
     return struct.pack(">I", len(data)) + data
 
 
@@ -46,7 +56,7 @@ def unpack(data: bytes) -> Any:
 
 
 def _blob(value: Any) -> dict[str, str]:
-    return {"#": base64.b64encode(value).decode()}  # no field of ROS is called so
+    return {"#": base64.b64encode(value).decode()}
 
 
 def _unblob(value: Any) -> Any:
@@ -92,6 +102,9 @@ class Outbox:
         """Let a frame wait; tells whether there was room."""
         if self.room.has(frame):
             data = pack(frame)
+            if len(data) > LARGEST:
+                told = f"{frame[0]} {frame[6]} is larger than 1 MiB"
+                data = pack(["large", *frame[1:6], told])
             self.room.add(frame, len(data))
             self.waiting.put((frame, data))
             return True
@@ -171,9 +184,9 @@ class Bridge:
 
     def _follow(self, wanted: Any) -> None:
         for name in wanted:
-            if name not in self.followed:
-                told = "" if name in self.graph.topics else "it is not in [ros.topics]"
-                self.say("gone", name, told)
+            if name not in self.followed or name not in self.graph.topics:
+                told = self.graph.missing.get(name, "it is not in [ros.topics]")
+                self.say("gone", name, "" if name in self.graph.topics else told)
         self.followed = wanted
 
     def heard(self, topic: str, read: Any) -> None:
@@ -194,7 +207,8 @@ class Bridge:
         if now >= self.due.get(topic, 0.0):
             since, read = self.newest.pop(topic)
             if self.say("reading", topic, now - since, read()):
-                self.due[topic] = now + 0.9 / self.followed.get(topic, 1.0)
+                end, pause = self.clock(), 0.9 / self.followed.get(topic, 1.0)
+                self.due[topic] = max(now + pause, end + PAUSE * (end - now))
             else:
                 self.newest[topic] = since, read
 
@@ -227,8 +241,11 @@ class Bridge:
         self.graph.cancel(number)
 
     def _pending(self, wanted: list[int]) -> None:
-        for number in self.graph.asked.keys() - set(wanted):
-            self.graph.cancel(number)
+        for number in self.graph.asked.keys() ^ set(wanted):
+            if number in self.graph.asked:
+                self.graph.cancel(number)
+            else:
+                self.say("answer", number, "lost", "it is not known there")
 
     def give_up(self, number: int) -> None:
         """Ask for it no more."""
@@ -308,6 +325,7 @@ class Graph:
 
     def __init__(self, bridge: Any, node: Any, links: Any) -> None:
         from rclpy.callback_groups import ReentrantCallbackGroup
+        from rclpy.clock import Clock, ClockType
 
         self.bridge, self.node = bridge, node
         self.group = ReentrantCallbackGroup()  # who waits keeps nobody else waiting
@@ -320,11 +338,22 @@ class Graph:
         self.publishers: dict[str, Any] = {}
         self.clients: dict[str, Any] = {}
         self.served: list[Any] = []
+        self.missing: dict[str, str] = {}
         for link in links:
-            link["class"] = found(link["type"])
-            getattr(self, "_{kind}_{flow}".format(**link))(link["name"], link)
-        node.create_timer(BEAT, bridge.tick, callback_group=self.group)
-        node.create_timer(1.0, self._miss, callback_group=self.group)
+            try:
+                link["class"] = found(link["type"])
+                getattr(self, "_{kind}_{flow}".format(**link))(link["name"], link)
+            except (
+                Exception
+            ) as error:  # such as no package of its type: others are there
+                self.missing[link["name"]] = "{type}: {error}".format(
+                    error=error, **link
+                )
+                node.get_logger().error(self.missing[link["name"]])
+        # The node's own clock stands still when the time of day is set back, or simulated.
+        told = {"clock": Clock(clock_type=ClockType.STEADY_TIME)}
+        node.create_timer(BEAT, bridge.tick, self.group, **told)
+        node.create_timer(1.0, self._miss, self.group, **told)
 
     def _qos(self, link: dict[str, Any], depth: int, reliable: bool) -> Any:
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -426,12 +455,18 @@ class Graph:
         )
         self.served.append(server)
 
+    def _class(self, name: str) -> Any:
+        if name in self.missing:
+            raise ValueError(self.missing[name])
+        return self.links[name]["class"]
+
     def publish(self, topic: str, age: float, message: Any) -> None:
         """Publish plain data; a header without a time gets that of the reading."""
-        made = fill(self.links[topic]["class"](), message)
-        from rclpy.duration import Duration
+        made = fill(self._class(topic)(), message)
+        from rclpy.time import Time
 
-        at = (self.node.get_clock().now() - Duration(seconds=age)).to_msg()
+        now = self.node.get_clock().now().nanoseconds  # 0 where time is simulated
+        at = Time(nanoseconds=max(0, now - round(age * 1e9))).to_msg()
         if hasattr(made, "angle_max") and made.angle_max == 0.0:  # a scan
             made.angle_max = made.angle_min + made.angle_increment * len(made.ranges)
             made.range_max = made.range_max or float("inf")
@@ -443,8 +478,7 @@ class Graph:
 
     def call(self, number: int, name: str, message: Any) -> None:
         """Call a service, or send a goal."""
-        say, client = self.bridge.say, self.clients[name]
-        kind = self.links[name]["class"]
+        say, kind, client = self.bridge.say, self._class(name), self.clients[name]
         is_action = self.links[name]["kind"] == "action"
         is_there = client.server_is_ready if is_action else client.service_is_ready
         if not is_there():
@@ -585,6 +619,7 @@ def main() -> None:
     executor.add_node(node)
 
     room = threading.Semaphore(WAITING)  # then the robot's end of the socket is full
+    told: set[str] = set()
 
     def hear() -> None:
         while True:
@@ -596,7 +631,9 @@ def main() -> None:
         try:
             bridge.took(frame)
         except Exception as error:  # what does not fit a type of ROS harms nobody else
-            node.get_logger().error(f"{frame[0]}: {error}")
+            if (line := f"{frame[0]}: {error}") not in told and len(told) < MOST:
+                told.add(line)
+                node.get_logger().error(line)
             if frame[0] == "ask":
                 bridge.say("answer", frame[6], "declined", str(error))
 

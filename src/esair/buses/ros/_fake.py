@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import attrs
 
@@ -140,6 +140,7 @@ class _Graph:
     ros: FakeRos
     bridge: Bridge
     topics: set[str]
+    missing: ClassVar[dict[str, str]] = {}
     asked: dict[int, asyncio.Task[None]]
 
     def publish(self, topic: str, _age: float, message: Any) -> None:

@@ -27,7 +27,6 @@ from esair.values import printable
 
 _log = logging.getLogger("esair")
 
-_LARGEST: Final = 1 << 22  # how many bytes a frame of the process may have
 _BEHIND: Final = 1 << 13  # how many of its bytes are on the way: they are its past
 _UNSENT: Final = 1 << 20  # how many bytes may wait for it, until what may be is dropped
 _NEWER: Final = frozenset({"beat", "publish", "progress"})  # of these a newer one comes
@@ -225,6 +224,8 @@ class Ros:
         if what == "dropped":
             bus.stats.dropped += parts[0]
             return None
+        if what == "large":
+            raise ValueError(parts[0])
         if what == "reading":
             parts[2] = self._named[parts[0]].form.value(parts[2])
         elif what == "ask":
@@ -380,7 +381,7 @@ class Living:
         """Return the next frame; None when it has ended."""
         try:
             (size,) = struct.unpack(">I", await self.reader.readexactly(4))
-            if size > _LARGEST:
+            if size > _child.LARGEST:
                 raise ValueError(f"it sent {size} bytes at once")
             frame = _child.unpack(await self.reader.readexactly(size))
         except (asyncio.IncompleteReadError, ConnectionError):
