@@ -187,6 +187,21 @@ def test_a_pair_without_a_mistake(files: Files) -> None:
 
 
 @pytest.mark.promise("NET-1")
+def test_what_an_actuator_was_told_is_shared_as_a_sensor(files: Files) -> None:
+    """Under its name in quotes; what is no actuator was told nothing."""
+    told = '[remote.base.sensor.told]\nremote = "wheels.applied"\n\n[remote.base.sensor'
+    files.change(files.base, "[share.sonar]", '[share."wheels.applied"]')
+    files.change(files.rover, "[remote.base.sensor", told)
+    assert {key for _, key, _ in files.errors()} == {"remote.base.sensor.sonar"}
+    files.change(files.base, "wheels.applied", "sonar.applied")
+    assert {key for _, key, _ in files.errors()} == {
+        "share.'sonar.applied'",
+        "remote.base.sensor.told",
+        "remote.base.sensor.sonar",
+    }
+
+
+@pytest.mark.promise("NET-1")
 @pytest.mark.parametrize(
     ("file", "old", "new", "key", "told"),
     [

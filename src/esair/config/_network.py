@@ -21,7 +21,7 @@ from esair.config._source import Source
 from esair.config._tables import named_tables, variant_of
 from esair.config._values import INVALID
 from esair.plan import inner_of
-from esair.resources import Sensor
+from esair.resources import APPLIED, Sensor
 from esair.values import is_positive, type_name
 
 TABLES: Final = frozenset({"network", "remote", "share"})
@@ -78,7 +78,7 @@ def read_peers(draft: Draft) -> Peers | None:
     remotes = dict(_remotes(source))
     told = {
         name: source.convert(table, _Share, dotted("share", name))
-        for name, table in named_tables(source, "share")
+        for name, table in named_tables(source, "share", APPLIED)
     }
     shares = {name: each for name, each in told.items() if each is not INVALID}
     if "network" not in source.data:
@@ -198,10 +198,18 @@ def add_behaviors(draft: Draft, peers: Peers) -> None:
 
 
 def part_of(draft: Draft, key: str, name: str, *kinds: str) -> Part | None:
-    """Return the part that a file names; it is a mistake that there is none."""
+    """Return the part that a file names; it is a mistake that there is none.
+
+    What an actuator has applied is a sensor of its own.
+    """
+    applied = (
+        attrs.evolve(each, kind="sensor", name=each.name + APPLIED)
+        for each in draft.parts
+        if each.kind == "actuator"
+    )
     known = {
         each.name: each
-        for each in draft.parts
+        for each in (*draft.parts, *applied)
         if each.kind in kinds and each.bus != each.name  # a peer is not shared
     }
     if name not in known:

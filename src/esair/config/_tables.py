@@ -16,12 +16,14 @@ from esair.config._values import wanted
 from esair.resources import Actuator, Sensor
 
 
-def named_tables(source: Source, kind: str) -> list[tuple[str, dict[str, Any]]]:
+def named_tables(
+    source: Source, kind: str, suffix: str = ""
+) -> list[tuple[str, dict[str, Any]]]:
     holder = source.data.get(kind, {})
     found: list[tuple[str, dict[str, Any]]] = []
     for name, table in list(holder.items()):
         key = dotted(kind, name)
-        good = source.is_name(kind, name, key)
+        good = source.is_name(kind, name.removesuffix(suffix), key)
         if good and isinstance(table, dict):
             found.append((name, table))
             continue
