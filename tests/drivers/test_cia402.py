@@ -177,6 +177,19 @@ async def test_the_watchdogs_frames_stop_it(wire: FakeCan, far: FakeDrive) -> No
         assert (far.velocity, state_of(far)) == (0, State.DISABLED)
 
 
+@pytest.mark.promise("AC-1")
+async def test_a_position_is_rounded_to_what_it_has(
+    wire: FakeCan, far: FakeDrive
+) -> None:
+    """It is told, and beyond no limit."""
+    drive = made(PositionDrive, wire, factor=10.0, limits=(-100.0, 107.0))
+    async with opened(drive):
+        assert await drive.write(Move(40.0)) is None
+        assert await drive.write(Move(44.0)) == Move(40.0)
+        assert await drive.write(Move(107.0)) == Move(100.0)
+        assert far.moves[-1] == 10
+
+
 async def test_a_position_is_gone_to_and_a_newer_one_at_once(
     wire: FakeCan, far: FakeDrive
 ) -> None:

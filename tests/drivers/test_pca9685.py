@@ -168,8 +168,11 @@ async def test_a_servo_gets_its_pulses() -> None:
     await actuators_on(chip, servo, turned)
 
     for angle, pulse in [(-1.0, 0.0005), (0.0, 0.0015), (1.0, 0.0025), (0.5, 0.002)]:
-        await servo.write(ServoPosition(angle))
+        told = await servo.write(ServoPosition(angle))
+        assert told is not None
+        assert servo.pulse(told.angle) == pytest.approx(chip.pulse(0))
         assert chip.pulse(0) == pytest.approx(pulse, abs=0.00001)
+        assert 0.0005 <= chip.pulse(0) <= 0.0025
     await turned.write(ServoPosition(0.5))
     assert chip.pulse(1) == pytest.approx(0.001, abs=0.00001)
 

@@ -183,6 +183,16 @@ def test_an_led_is_set_and_its_trigger_ends(root) -> None:
     assert (root / "class/leds/green/trigger").read_text() == "none"
 
 
+def test_rounding_goes_beyond_no_limit(root) -> None:
+    """An LED that is on or off, and may be no brighter than 0.6, is off."""
+    (root / "class/leds/green/max_brightness").write_text("1")
+    led = SysfsActuator(device="led:green", limits=(0.0, 0.6))
+    led.open()
+
+    assert led.write(0.6) == 0.0
+    assert (root / "class/leds/green/brightness").read_text() == "0"
+
+
 def test_an_led_without_any_brightness_is_a_fault(root) -> None:
     """Nothing that it could be told is 0 to 1."""
     (root / "class/leds/green/max_brightness").write_text("0")

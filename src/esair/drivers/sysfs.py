@@ -43,6 +43,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar, Final, Unpack
 
+from esair.drivers._on_bus import in_units
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.resources import (
     Actuator,
@@ -316,7 +317,7 @@ class SysfsActuator(_OnSysfs, Actuator[float]):
         """Tell how much; returns it as it was rounded."""
         if self.folder is None:
             raise DeviceLostError(self.name, "it is not open")
-        steps = round(command * self._most)
+        steps = in_units(command, 1 / self._most, self.limits)
         self._file.write_text(str(steps), encoding="ascii")
         return steps / self._most
 

@@ -7,6 +7,7 @@ from typing import Final, Unpack
 
 import attrs
 
+from esair.drivers._on_bus import applied, in_units
 from esair.drivers.canopen import drive as profile
 from esair.drivers.canopen.drive import DriveActuator, DriveActuatorSettings
 from esair.exceptions import DeviceFaultError
@@ -55,18 +56,20 @@ class PositionDrive(DriveActuator, Actuator[Move]):
         low, high = self._allowed
         self.safe: Move = Move(min(max(low, 0.0), high), stop=True)
 
-    async def write(self, command: Move) -> None:
-        """Tell the drive where to go, and enable it; or stop it."""
+    async def write(self, command: Move) -> Move | None:
+        """Tell the drive where to go, and enable it; or stop it.
+
+        Returns the position in its units, if that is another one.
+        """
         if command.stop:
             await self._stop()
-            return
+            return None
+        value = in_units(command.position, self.factor, self._allowed)
         # Bit 4 must rise for each position: first without it, then with it.
         at_once = profile.ENABLE | profile.AT_ONCE
-        await self._go(
-            at_once,
-            at_once | profile.NEW_SET_POINT,
-            value=round(command.position / self.factor),
-        )
+        await self._go(at_once, at_once | profile.NEW_SET_POINT, value=value)
+        sent = applied(command.position, value * self.factor)
+        return None if sent is None else Move(sent)
 
     async def _heed_of(self, mine: int, word: int) -> None:
         loop, wanted = asyncio.get_running_loop(), bool(word & profile.NEW_SET_POINT)

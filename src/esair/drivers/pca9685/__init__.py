@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Required, TypeVar, Unpack
 import attrs
 
 from esair.buses import RegisterLink
-from esair.drivers._on_bus import shared
+from esair.drivers._on_bus import in_units, shared
 from esair.drivers._on_chip import OnChip
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.resources import Actuator, ActuatorSettings
@@ -228,6 +228,6 @@ class PwmChannel(OnChannel[float]):
 
     async def write(self, command: float) -> float:
         """Be on for a part of each period; returns the part, in steps of 1/4096."""
-        steps = round(command * STEPS)
+        steps = in_units(command, 1 / STEPS, self.limits)
         await self._be_on(steps)
         return steps / STEPS

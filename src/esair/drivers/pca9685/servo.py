@@ -11,6 +11,7 @@ from typing import Unpack
 
 import attrs
 
+from esair.drivers._on_bus import applied, in_units
 from esair.drivers.pca9685 import (
     STEPS,
     ChannelSettings,
@@ -99,10 +100,16 @@ class PwmServo(OnChannel[ServoPosition]):
         """No pulses; None if the safe command is another one."""
         return self._off() if not self.safe.on else None
 
-    async def write(self, command: ServoPosition) -> None:
-        """Send pulses for an angle, or none."""
+    async def write(self, command: ServoPosition) -> ServoPosition | None:
+        """Send pulses for an angle, or none; returns the angle if no pulse is just it."""
         if not command.on:
             await self._be_on(0)
-            return
-        period = 1.0 / frequency_of(prescale(self.frequency))
-        await self._be_on(round(self.pulse(command.angle) / period * STEPS))
+            return None
+        step = 1.0 / frequency_of(prescale(self.frequency)) / STEPS
+        ends = self.min_pulse, self.max_pulse
+        steps = in_units(self.pulse(command.angle), step, ends)
+        await self._be_on(steps)
+        turn = (self.max_angle - self.min_angle) / (self.max_pulse - self.min_pulse)
+        angle = self.min_angle + (steps * step - self.min_pulse) * turn
+        sent = applied(command.angle, angle)
+        return None if sent is None else ServoPosition(sent)
