@@ -16,6 +16,7 @@ from esair.drivers.canopen.drive import Drive, DriveState, State
 from esair.drivers.canopen.fake_drive import FakeDrive
 from esair.drivers.canopen.position import Move, PositionDrive
 from esair.exceptions import BusyError, ConfigError, DeviceFaultError
+from esair.messages import ResourceState
 from esair.testing import ActuatorContract, FakeCan, SensorContract
 
 PATIENCE = 10.0
@@ -175,6 +176,18 @@ async def test_the_watchdogs_frames_stop_it(wire: FakeCan, far: FakeDrive) -> No
             await wire.send(number, frame[8 : 8 + length])
         await asyncio.sleep(0.1)
         assert (far.velocity, state_of(far)) == (0, State.DISABLED)
+
+
+@pytest.mark.promise("SC-3")
+async def test_half_a_reading_is_silence(wire: FakeCan, far: FakeDrive) -> None:
+    """Its second PDO comes no more, though the first one does."""
+    state = made(DriveState, wire, name="state", tell_every=0.01)
+    async with esair.Robot(resources=[state]) as robot:
+        await asyncio.sleep(0.5)
+        assert robot.resources.query("state").state is ResourceState.READY
+        far.local.data_store[0x1801][5] = bytes(2)  # its event timer
+        await asyncio.sleep(0.3)
+        assert robot.resources.query("state").state is not ResourceState.READY
 
 
 @pytest.mark.promise("AC-1")
@@ -354,7 +367,7 @@ async def test_a_drive_that_tells_nothing_more_is_lost(
     async with esair.Robot(resources=[state], behaviors=[user]) as robot:
         reading = await user.state.reading(fresh=True)
         far.stop()
-        for _ in range(20):
+        for _ in range(10):
             await asyncio.sleep(0.02)
             wire.feed(0x285, bytes(4))
         newest = await user.state.reading()

@@ -596,25 +596,30 @@ class DriveState(OnDrive, Sensor[DriveReading]):
         self.position_factor = position_factor
         self.velocity_factor = velocity_factor
         self.bad_frames: int = 0
+        self._first: bytes | None = None
 
     async def stream(self) -> AsyncIterator[DriveReading]:
         """Yield what it tells; its second PDO completes a reading."""
-        first, second = 0x180 + self.node, 0x280 + self.node
-        told: bytes | None = None
-        inbox = self.bus.frames(first, second, limit=64)
-        with inbox:
-            async for frame in heard(self, inbox, self._silence):
-                if len(frame.data) < (6 if frame.id == first else 4):
-                    self.bad_frames += 1
-                elif frame.id == first:
-                    told = frame.data
-                elif told is not None:
-                    yield DriveReading(
-                        _signed(told[2:6]) * self.position_factor,
-                        _signed(frame.data[:4]) * self.velocity_factor,
-                        state_of(int.from_bytes(told[:2], "little")),
-                    )
-                    told = None  # each is told anew
+        self._first = None
+        ids = 0x180 + self.node, 0x280 + self.node
+        with self.bus.frames(*ids, limit=64) as inbox:
+            readings = heard(self, inbox, self._silence, self._completed, "no reading")
+            async for reading in readings:
+                yield reading
+
+    def _completed(self, frame: Frame) -> DriveReading | None:
+        is_first, told = frame.id == 0x180 + self.node, self._first
+        if len(frame.data) < (6 if is_first else 4):
+            self.bad_frames += 1
+            return None
+        self._first = frame.data if is_first else None  # each is told anew
+        if is_first or told is None:
+            return None
+        return DriveReading(
+            _signed(told[2:6]) * self.position_factor,
+            _signed(frame.data[:4]) * self.velocity_factor,
+            state_of(int.from_bytes(told[:2], "little")),
+        )
 
 
 class Drive(DriveActuator, Actuator[float]):
