@@ -126,6 +126,24 @@ async def test_a_chip_that_had_no_power_is_set_up_again() -> None:
 
 
 @pytest.mark.virtual_clock
+@pytest.mark.promise("RES-4")
+async def test_who_wakes_a_chip_hides_no_restart_from_its_others() -> None:
+    """It is awake again, and the other channel is off, which was told to be on."""
+    chip = FakePca9685()
+    lamp, fan = (PwmChannel(name=name, channel=n) for n, name in enumerate("ab"))
+    await actuators_on(chip, lamp, fan)
+    await fan.write(0.5)
+    assert await fan.is_set_up()
+
+    chip.power_cycle()
+    assert not await lamp.is_set_up()
+    await lamp.open()
+
+    assert await lamp.is_set_up()
+    assert not await fan.is_set_up()
+
+
+@pytest.mark.virtual_clock
 async def test_a_chip_has_one_frequency() -> None:
     """The second actuator that wants another is refused, and says whose the first is."""
     chip = FakePca9685()

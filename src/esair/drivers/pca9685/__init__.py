@@ -117,6 +117,8 @@ class OnChannel(OnChip, Actuator[T]):
         self.register: int = LED0_ON_L + 4 * channel
         self.claim: str = f"channel {channel} of the chip {address:#04x}"
         self._chip: Chip | None = None
+        self._told = b""
+        """What its registers were told last."""
 
     async def open(self) -> None:
         """Set the chip up unless it is, and turn the output off."""
@@ -140,11 +142,14 @@ class OnChannel(OnChip, Actuator[T]):
             del chip.channels[self.channel]
 
     async def is_set_up(self) -> bool:
-        """Tell whether the chip is awake, with its frequency: asleep it takes commands."""
+        """Tell whether the chip has not restarted: asleep it takes commands.
+
+        It may have been woken for another channel since; then this one is off.
+        """
 
         def look(link: RegisterLink) -> bool:
-            found = link.read_byte_data(self.address, PRE_SCALE)
-            return self._is_awake(link) and found == prescale(self.frequency)
+            has = link.read_i2c_block_data(self.address, self.register, 4)
+            return self._is_awake(link) and bytes(has) == self._told
 
         return await self.bus.transaction(look, address=self.address, idempotent=True)
 
@@ -158,13 +163,15 @@ class OnChannel(OnChip, Actuator[T]):
         def put(link: RegisterLink) -> bool:
             is_set_up = self._is_awake(link)
             if is_set_up:
-                link.write_i2c_block_data(
-                    self.address, self.register, encode_steps(steps)
-                )
+                self._put_steps(link, steps)
             return is_set_up
 
         if not await self.bus.transaction(put, address=self.address, idempotent=True):
             raise DeviceLostError(self.name, "it has restarted: its set-up is gone")
+
+    def _put_steps(self, link: RegisterLink, steps: int) -> None:
+        self._told = encode_steps(steps)
+        link.write_i2c_block_data(self.address, self.register, self._told)
 
     def _is_awake(self, link: RegisterLink) -> bool:
         mode = link.read_byte_data(self.address, MODE1)
@@ -202,7 +209,7 @@ class OnChannel(OnChip, Actuator[T]):
             link.write_byte_data(address, MODE2, OUTDRV)
             link.write_byte_data(address, MODE1, AUTO_INCREMENT)
             found = link.read_byte_data(address, PRE_SCALE)
-        link.write_i2c_block_data(address, self.register, encode_steps(0))
+        self._put_steps(link, 0)
         return found
 
 
