@@ -140,6 +140,25 @@ async def test_who_leaves_a_unit_takes_no_answer_of_another() -> None:
     await can.close()
 
 
+@pytest.mark.promise("RES-4")
+async def test_all_outputs_of_a_unit_notice_that_it_has_restarted() -> None:
+    """The first one to notice opens the session again, which the others look at."""
+    can = FakeCan()
+    unit = FakeUnit(can, {1: b"\0", 2: b"\0"})
+    fan, lamp = (
+        UdsActuator(name=name, identifier=n, layout="B", safe=0.0, bus=can)
+        for n, name in enumerate(("fan", "lamp"), 1)
+    )
+    async with esair.Robot(resources=[fan]) as robot:
+        await asyncio.sleep(0.5)
+        await robot.resources.add(lamp)
+        await asyncio.sleep(3.2)
+        unit.power_cycle()
+        await asyncio.sleep(3.0)
+        assert [robot.resources.query(n).losses for n in ("fan", "lamp")] == [1, 1]
+        assert unit.controlled == {1: b"\0", 2: b"\0"}
+
+
 @pytest.mark.promise("BUS-3")
 async def test_an_answer_that_takes_longer_is_nobody_elses() -> None:
     """Whoever asked for it has gone meanwhile: what comes then is old."""

@@ -91,6 +91,11 @@ SESSION: Final = 0xF186
 class _Present(SharedTask):
     """Tells a unit that its tester is there."""
 
+    @property
+    def users(self) -> tuple[Resource, ...]:
+        """Whose session it keeps alive."""
+        return tuple(self._users)
+
     async def run(self, bus: CanBus, link: IsoTp) -> None:
         told = Request(
             services.TesterPresent, subfunction=0, suppress_positive_response=True
@@ -274,6 +279,8 @@ class UdsActuator(_OnUnit, Actuator[float]):
     async def open(self) -> None:
         """Open the session, and keep it alive."""
         self._link.join(self.bus, self)
+        if self._present.users:
+            await self.is_set_up()  # afterwards nobody sees that it was gone
         await self._ask(
             services.DiagnosticSessionControl, b"", subfunction=self.session
         )
@@ -297,7 +304,11 @@ class UdsActuator(_OnUnit, Actuator[float]):
             )
         except DeviceFaultError:
             return True
-        return told == bytes((self.session,))
+        is_in_it = told == bytes((self.session,))
+        for user in () if is_in_it else self._present.users:
+            if user is not self:
+                user.report_lost(DeviceLostError(user.name, "its session is over"))
+        return is_in_it
 
     def check(self, command: float) -> None:
         """Refuse a command that its layout cannot hold.
