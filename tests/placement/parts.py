@@ -147,6 +147,10 @@ def misbehave(fault: str) -> None:
     elif fault == "hang":
         while True:
             pass
+    elif fault == "talk":
+        while True:
+            print("it does not end")  # noqa: T201 - it is not silent
+            time.sleep(0.005)
     elif fault == "raise":
         raise ValueError("it does not work")
 

@@ -97,15 +97,18 @@ async def test_a_crash_comes_at_the_same_moment() -> None:
 
 @pytest.mark.long
 @pytest.mark.promise("PLC-3")
-async def test_a_hang_is_seen_on_the_virtual_clock() -> None:
+@pytest.mark.parametrize("fault", ["hang", "stop", "talk"])
+async def test_a_hang_is_seen_on_the_virtual_clock(fault: str) -> None:
     """No virtual time passes while it hangs: real time counts for that alone."""
     wheels = FakeActuator("wheels", safe=STOP)
-    drive = Drive(fault="hang", at=5)
+    drive = Drive(fault=fault, at=5)
     drive.placement = esair.Placement(stall=0.5)  # type: ignore[assignment]
     async with esair.Robot(resources=[wheels], behaviors=[drive]) as robot:
         await asyncio.sleep(0.1)
         assert robot.behaviors.query("drive").restarts == 1
-        assert "misbehave" in str(robot.behaviors.query("drive").error)
+        told = str(robot.behaviors.query("drive").error)
+        assert "hung for 0.5 s" in told
+        assert fault == "stop" or "misbehave" in told
 
 
 @pytest.mark.promise("PLC-3", "PLC-4")

@@ -137,7 +137,7 @@ class Door(OfTurn):
             collections.deque()
         )
         self._lanes: dict[int, object] = {}
-        """Which thread has each work, where work is held."""
+        """Who has each work, where work is held: a thread, or how a process is looked at."""
         self._resting: set[object] = set()
         """The threads that wait for time to pass, or for the outside."""
         self._outside: set[object] = set()
@@ -203,6 +203,14 @@ class Door(OfTurn):
                 for lane in lanes
                 if isinstance(lane, threading.Thread)
             ]
+
+    def look(self) -> None:
+        """Let those processes see whether they hang whose work time waits for."""
+        with self._lock:
+            lanes = [each for each in self._lanes.values() if each not in self._resting]
+        for lane in lanes:
+            if callable(lane):
+                lane()
 
     def rest(self, lane: threading.Thread) -> None:
         """Take note that a thread waits for time to pass, or the outside, where work is held.

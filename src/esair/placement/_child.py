@@ -136,7 +136,6 @@ class Child(Exchange):
         self._has_turn = False
         self._of_others: set[int] = set()  # the calls that other behaviors answer
         self._asked_at = 0  # the pass of the loop in which it has waited last
-        self._stall: float | None = None
         self._streams: dict[int, Any] = {}
         self.reacting: dict[int, Reacting] = {}
         """The reaction that it is, or those that it performs, by the number of the call."""
@@ -159,8 +158,6 @@ class Child(Exchange):
 
     def idle(self, wake: float) -> None:
         """Say that nothing is ready, and when to go on."""
-        if self._stall is not None:
-            faulthandler.cancel_dump_traceback_later()
         if self._has_turn:
             self._has_turn = False
             is_still = False
@@ -182,7 +179,7 @@ class Child(Exchange):
 
     def hear(self) -> None:
         """Take what the robot says."""
-        for item in self._receive(goes_on=True):
+        for item in self._receive():
             self._take(item)
 
     def give_turn(self) -> None:
@@ -199,7 +196,7 @@ class Child(Exchange):
         except OSError:
             self.end()
 
-    def _receive(self, *, goes_on: bool) -> list[Item]:
+    def _receive(self) -> list[Item]:
         message = self._wire.receive()
         if message is None:
             self.end()
@@ -208,13 +205,10 @@ class Child(Exchange):
         self._has_turn = True
         self._heard = time.monotonic()
         self.loop.told(now, self._heard)
-        if goes_on and self._stall is not None:  # nobody there has a clock that tells
-            faulthandler.dump_traceback_later(self._stall, exit=True)
         return items
 
     def end(self) -> None:
         """The robot wants no more of this process."""
-        faulthandler.cancel_dump_traceback_later()
         with contextlib.suppress(BaseException):
             if "coverage" in sys.modules:
                 sys.modules["coverage"].Coverage.current().save()
@@ -258,7 +252,7 @@ class Child(Exchange):
         self._asked_at = self.loop.passes
         while not outcome:
             self._send(Op.TURN if goes_on else Op.SYNC)
-            for item in self._receive(goes_on=goes_on):
+            for item in self._receive():
                 if item.number == number and item.op in {Op.DONE, Op.FAIL}:
                     self.ended(number, *self.opened(item))
                 else:
@@ -373,8 +367,7 @@ class Child(Exchange):
         self.name = given["name"]
         self._of_threads = Portal(self.name, self.owner)
         self.owner.stream = given["stream"] or random.Random()
-        self._stall = given["stall"]
-        self.loop.is_of_virtual = self._stall is not None
+        self.loop.is_of_virtual = given["is_virtual"]
         if given["memory"] is not None:
             import resource
 

@@ -114,7 +114,7 @@ class Process(Exchange):
         self._door = Door.of(loop)
         self._tag = self._door.source(name) if repeats else ("driver", name)
         self._steps, self._caller = FirstSteps(loop), Caller(f"the process of {name}")
-        self._lane = object()
+        self._lane = self._look
         self._told_to_end: set[int] = set()
         self._is_empty = False  # nothing could be made in it
         self._is_condemned = False
@@ -127,6 +127,8 @@ class Process(Exchange):
         self._stall = placement.stall
         self._hangs_at = NEVER
         """When what works since is a hang; a reply to what it waits for is no new time."""
+        self._hangs_really_at = NEVER
+        """The same by a clock that goes on while it works, for one that does not."""
         self._hang = Deadlines.beside(loop).idle(self._hung)
         ends = nursery.child()
         self._wire = Wire(ends.wire)
@@ -257,9 +259,7 @@ class Process(Exchange):
         if self._wanted is not None and self._wanted - now < 1e-6:
             now = max(now, self._wanted)  # a timer may ring a hair early
         if self._hangs_at == NEVER:
-            self._hangs_at = self.sent + (self._stall if self.pid else START)
-            if self._hang.when == NEVER:
-                self._hang.start(self._hangs_at)
+            self._may_work_from(self.sent)
         if self.error is not None:  # it has died meanwhile
             self._end_work()
             return
@@ -387,13 +387,26 @@ class Process(Exchange):
         if what == b"pid":
             self.pid, self._pidfd = int(rest), files[0]
             if self._work:  # its time begins when it is there
-                self._hangs_at = self._time() + self._stall
-                self._hang.start(self._hangs_at)
+                self._hang.cancel()
+                self._may_work_from(self._time())
             return
         self._readable()  # what it has done before
         code = int(rest) if what == b"over" else None
         how = told_end(code) if what != b"failed" else f"did not start: {rest.decode()}"
         self._gone(how, code)
+
+    def _may_work_from(self, now: float) -> None:
+        lasts = self._stall if self.pid else START
+        self._hangs_at, self._hangs_really_at = now + lasts, time.monotonic() + lasts
+        if self._hang.when == NEVER:
+            self._hang.start(self._hangs_at)
+
+    def _look(self) -> None:
+        """Kill it if it hangs, where time does not pass before it has answered."""
+        if time.monotonic() > self._hangs_really_at:
+            self._signal(signal.SIGUSR1)
+            time.sleep(STACK)
+            self.condemn(f"hung for {self._stall:g} s")
 
     def _hung(self) -> None:
         """It is silent, and not idle."""
@@ -458,6 +471,7 @@ class Process(Exchange):
 
     def go_on(self) -> None:
         """Let it go on where it was stopped."""
+        self._hangs_really_at = time.monotonic() + self._stall
         self._door.go_on(self._lane)  # type: ignore[arg-type]
         self._signal(signal.SIGCONT)
 

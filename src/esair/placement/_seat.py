@@ -173,7 +173,7 @@ class Seat:
             "argv": list(sys.argv),
             "name": self.name,
             "stream": stream,
-            "stall": self.placement.stall if is_virtual else None,
+            "is_virtual": is_virtual,
             "memory": self.placement.memory,
             "nice": self.placement.nice,
             "level": logging.getLogger().getEffectiveLevel(),

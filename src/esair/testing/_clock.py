@@ -171,7 +171,9 @@ class VirtualLoop(TurnLoop):
                         raise DeadlockError(f"every task waits:\n{self._tasks()}")
                     return self._others(self._select(None))
             # In real time, until something comes in, or a thread has fallen asleep.
-            if not (events := self._select(LOOK)):
+            events = self._select(LOOK)
+            door.look()
+            if not events:
                 self._threads.look(door, self._passes)
             elif events := self._others(events):
                 return events
