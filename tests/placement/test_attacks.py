@@ -34,6 +34,7 @@ from tests.placement.test_life import STOP, fake_wheels, lives, place, until
 import esair
 from esair.codec import CodecError
 from esair.placement._child import Child
+from esair.placement._nursery import Nursery
 from esair.placement._wire import PACKET, Item, Op, Wire
 from esair.testing import FakeSensor
 
@@ -213,6 +214,19 @@ async def test_nothing_is_left_behind() -> None:
         assert descriptors() == before
         assert len(children_of(os.getpid())) == 2
     await until(lambda: children_of(os.getpid()) == [])
+
+
+@pytest.mark.promise("PLC-4", "TURN-4")
+async def test_nobody_waits_for_the_end_of_what_makes_children() -> None:
+    """Other robots of the loop go on meanwhile; it ends all the same, and is reaped."""
+    were_there = []
+    for _ in range(5):  # it may be quick
+        nursery = Nursery.hold()
+        (pid,) = children_of(os.getpid())
+        nursery.let_go()
+        were_there.append(lives(pid))
+        await until(lambda: children_of(os.getpid()) == [])
+    assert any(were_there)
 
 
 @pytest.mark.promise("PLC-4", "ROB-5")

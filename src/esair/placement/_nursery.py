@@ -92,20 +92,26 @@ class Nursery:
             return one
 
     def let_go(self) -> None:
-        """Be done with it; the last user ends it."""
+        """Be done with it; the last user ends it, and does not wait for that."""
         with _lock:
             self._users -= 1
             if self._users:
                 return
             if Nursery._one is self:
                 Nursery._one = None
-            its_end = os.pidfd_open(self._process.pid)
-            self._control.close()  # it ends what it has made, and itself
-            signal.pidfd_send_signal(its_end, signal.SIGCONT)  # if it was stopped, too
-            select.select((its_end,), (), (), _PATIENCE)
-            os.close(its_end)
-            self._process.kill()  # its children die with it
-            self._process.wait()
+        self._control.close()  # it ends what it has made, and itself
+        try:
+            threading.Thread(target=self._end, name="esair-nursery").start()
+        except RuntimeError:  # there are no more threads
+            self._end()
+
+    def _end(self) -> None:
+        its_end = os.pidfd_open(self._process.pid)
+        signal.pidfd_send_signal(its_end, signal.SIGCONT)  # if it was stopped, too
+        select.select((its_end,), (), (), _PATIENCE)
+        os.close(its_end)
+        self._process.kill()  # its children die with it
+        self._process.wait()
 
     def wait(self) -> None:
         """Wait until it can make children, in a thread."""
