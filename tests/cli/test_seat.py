@@ -287,6 +287,23 @@ def test_who_does_not_answer_holds_up_the_halt_of_nobody_else(esair, robot):
     assert told(two)[-1] == 0.0
 
 
+@pytest.mark.promise("OPS-3")
+@pytest.mark.long
+def test_who_stops_a_frozen_robot_hears_that_soon(robot, start, tmp_path):
+    """And not when its answer is given up: there may be a switch to run to."""
+    stuck = process_in(robot())
+    os.kill(stuck, signal.SIGSTOP)
+    try:
+        begin = time.monotonic()
+        stop = start("stop", cwd=tmp_path)
+        assert "'rover' does not answer" in stop.stderr.readline()
+        assert within(5.0, time.monotonic() - begin)
+    finally:
+        os.kill(stuck, signal.SIGCONT)
+    assert "halted" in stop.stdout.readline()
+    assert stop.wait(10.0) == 0
+
+
 @pytest.mark.promise("OPS-2")
 @pytest.mark.long
 def test_the_log_of_a_robot_is_followed(esair, robot, start, tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import concurrent.futures
 import inspect
 import json
+import threading
 from collections.abc import Callable
 from typing import Annotated, Any, Final
 
@@ -24,6 +25,9 @@ VERBS: Final = (
 
 _PATIENCE: Final = {"operate": 600.0}
 """How long an answer may take beside what the act's own fields say, in s; else 15."""
+
+SILENT: Final = 1.0
+"""After how long it is told that nobody answers a stop, in seconds; it is waited for on."""
 
 LONGEST: Final = 500
 """How many characters a reason for a halt has at most; what is beyond is left out."""
@@ -136,7 +140,15 @@ def _do(robot: str | None, name: str, fields: dict[str, Any], as_json: bool) -> 
     wait = _PATIENCE.get(name, 15.0)
     wait += sum(fields.get(each, 0.0) for each in ("timeout", "interval"))
     with connect(robot) as client:
-        result = client.do(name, fields, timeout=wait)
+        told = f"robot {client.name!r} does not answer; use its own switch if it moves"
+        silent = threading.Timer(SILENT, tell, [printable(told)])
+        silent.daemon = True
+        if name == "stop":
+            silent.start()
+        try:
+            result = client.do(name, fields, timeout=wait)
+        finally:
+            silent.cancel()
     shown = json.dumps(result) if as_json else ACTS[name].tells(result)
     for line in shown.splitlines():
         show(printable(line))
