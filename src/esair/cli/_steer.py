@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import concurrent.futures
+import contextlib
 import inspect
 import json
 import threading
@@ -139,16 +140,14 @@ def _do(robot: str | None, name: str, fields: dict[str, Any], as_json: bool) -> 
     """Do one act and print its result."""
     wait = _PATIENCE.get(name, 15.0)
     wait += sum(fields.get(each, 0.0) for each in ("timeout", "interval"))
-    with connect(robot) as client:
-        told = f"robot {client.name!r} does not answer; use its own switch if it moves"
-        silent = threading.Timer(SILENT, tell, [printable(told)])
-        silent.daemon = True
+    with connect(robot) as client, contextlib.ExitStack() as over:
         if name == "stop":
+            unheard = f"robot {client.name!r} does not answer"
+            unheard += "; use its own switch if it moves"
+            silent = threading.Timer(SILENT, tell, [printable(unheard)])
+            over.callback(silent.cancel)
             silent.start()
-        try:
-            result = client.do(name, fields, timeout=wait)
-        finally:
-            silent.cancel()
+        result = client.do(name, fields, timeout=wait)
     shown = json.dumps(result) if as_json else ACTS[name].tells(result)
     for line in shown.splitlines():
         show(printable(line))
