@@ -273,6 +273,28 @@ class NoMethod(Sonar):
     async def tare() -> None: ...
 
 
+class StaticAbove(Sonar):
+    @staticmethod
+    @esair.operation
+    async def tare() -> None: ...
+
+
+class NoSelf(esair.Sensor[float]):
+    async def read() -> float:  # type: ignore[misc]
+        return 1.0
+
+
+class Hides(Drive):
+    async def run(self) -> None:
+        self.wheels = 1.0  # type: ignore[assignment]
+
+
+class ReactHides(Brake):
+    def react(self, sonar: float) -> float | None:
+        self.wheels = 0.0  # type: ignore[assignment]
+        return None
+
+
 class NotCalled(esair.Behavior):
     wheels = esair.writes
 

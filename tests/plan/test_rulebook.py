@@ -185,6 +185,14 @@ CASES = [
          "answers requests: esair.answers", "has_operation", "home"),
     Case(parts.NoMethod, "an operation must be a method, with or without async",
          "no_method", "tare"),
+    Case(parts.StaticAbove, "an operation must be a method, with or without async",
+         "static_above", "tare"),
+    Case(parts.NoSelf, "expected a method without parameters: it does not take self",
+         "no_self", "read"),
+    Case(parts.Hides, "run hides the port by self.wheels = ...: to send a command use "
+         "its write(...), to keep a value choose another name", "hides", "wheels"),
+    Case(parts.ReactHides, "react hides the port by self.wheels = ...: to send a command "
+         "return it, to keep a value choose another name", "react_hides", "wheels"),
     Case(parts.NotCalled, "expected esair.writes(...), not the function",
          "not_called", "wheels"),
     Case(parts.AsyncThread, "expected a plain function, not async: it runs in a thread",

@@ -8,6 +8,7 @@ constructed with; never of a copy: what a component that runs knows of its robot
 from __future__ import annotations
 
 import ast
+import dis
 import enum
 import inspect
 import sys
@@ -195,8 +196,8 @@ def _cannot(
     """Say why a method cannot be called so; None if it can, or if nobody knows."""
     try:
         signature = inspect.signature(method)
-    except ValueError:  # of a class written in C, say
-        return None
+    except ValueError:  # else of a class written in C, say
+        return "it does not take self" if inspect.ismethod(method) else None
     except TypeError as error:
         return str(error)
     try:
@@ -261,7 +262,26 @@ def _in_class(cls: type[Component]) -> list[tuple[str, str]]:
             for each in makers
             if value is each
         )
-    return found
+    return [*found, *_hidden(cls)]
+
+
+def _hidden(cls: type[Component]) -> Iterator[tuple[str, str]]:
+    """Yield each port that a method assigns to: nobody would find it any more."""
+    members = inspect.getmembers_static(cls)
+    ports = {n for n, v in members if isinstance(v, Reads | Writes | Guards | Takes)}
+    for method, function in members:
+        code = getattr(function, "__code__", None)
+        if code is None or not code.co_argcount or ports.isdisjoint(code.co_names):
+            continue
+        before = ""
+        for each in dis.get_instructions(code):
+            itself = before.rpartition(", ")[2] == code.co_varnames[0]
+            if each.opname == "STORE_ATTR" and itself and each.argval in ports:
+                told = f"{method} hides the port by self.{each.argval} = ...: "
+                how = "return it" if hasattr(cls, "react") else "use its write(...)"
+                told += f"to send a command {how}, to keep a value choose another name"
+                yield each.argval, told
+            before = each.argrepr
 
 
 def _in_action(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:

@@ -352,7 +352,7 @@ def operation(function: Any = None, /, *, deadline: float | None = None) -> Any:
     """
 
     def mark(method: Any) -> Any:
-        setattr(method, _MARK, deadline)
+        setattr(getattr(method, "__func__", method), _MARK, deadline)
         return method
 
     return mark if function is None else mark(function)
@@ -412,9 +412,10 @@ def _marked(component: type[Any]) -> Iterator[tuple[str, Any]]:
     seen = set()
     for cls in component.__mro__:
         for name, value in vars(cls).items():
-            if name not in seen and hasattr(value, _MARK):
+            method = getattr(value, "__func__", value)  # of a staticmethod above it
+            if name not in seen and hasattr(method, _MARK):
                 seen.add(name)
-                yield name, value
+                yield name, method
 
 
 def _described(component: type[Any], name: str, marked: Any) -> Operation:
