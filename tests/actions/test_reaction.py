@@ -58,6 +58,12 @@ async def test_no_opinion_gives_the_actuator_back_at_once(
         assert await low.wheels.write(0.1)  # type: ignore[attr-defined]
 
 
+def test_a_reaction_that_writes_by_hand_is_told_how() -> None:
+    """Its port moves nothing: a command is what its step returns."""
+    with pytest.raises(esair.NotRegisteredError, match="what react returns"):
+        Copy().wheels  # noqa: B018 - as a step of a user says it
+
+
 @pytest.mark.promise("REA-1")
 async def test_it_keeps_state_and_returns_several_commands(
     fake_sensor: Any, fake_actuator: Any

@@ -295,6 +295,11 @@ class ReactHides(Brake):
         return None
 
 
+class NoReaction(Drive):
+    def react(self) -> float:
+        return 1.0
+
+
 class NotCalled(esair.Behavior):
     wheels = esair.writes
 

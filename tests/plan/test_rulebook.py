@@ -193,6 +193,8 @@ CASES = [
          "its write(...), to keep a value choose another name", "hides", "wheels"),
     Case(parts.ReactHides, "react hides the port by self.wheels = ...: to send a command "
          "return it, to keep a value choose another name", "react_hides", "wheels"),
+    Case(parts.NoReaction, "it never runs: derive from esair.Reaction, or write run",
+         "no_reaction", "react"),
     Case(parts.NotCalled, "expected esair.writes(...), not the function",
          "not_called", "wheels"),
     Case(parts.AsyncThread, "expected a plain function, not async: it runs in a thread",

@@ -41,7 +41,10 @@ Blind = Literal["safe", "release"]
 def not_bound(instance: object, resource: str) -> NotRegisteredError:
     """Make the error for the use of what only a running robot gives."""
     name = instance.name if isinstance(instance, abc.Component) else repr(instance)
-    return NotRegisteredError(name, resource, "it is not in a running robot")
+    why = "it is not in a running robot"
+    if hasattr(instance, "react"):
+        why += "; a command is what react returns"
+    return NotRegisteredError(name, resource, why)
 
 
 def attributes_of(cls: type) -> dict[str, Any]:

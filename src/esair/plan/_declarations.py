@@ -303,6 +303,8 @@ def _in_action(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:
         of = type(action)
         own = [f for f in _BEHAVIOR if getattr(of, f) is not getattr(Behavior, f)]
         yield from _wrong_methods(action, own)
+        if hasattr(of, "react") and of.run in {Behavior.run, ThreadBehavior.run}:
+            yield "react", "it never runs: derive from esair.Reaction, or write run"
         if isinstance(action, ThreadBehavior) and inspect.iscoroutinefunction(of.run):
             yield "run", "expected a plain function, not async: it runs in a thread"
     if not isinstance(action.restart, Restart):
