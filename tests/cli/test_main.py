@@ -18,10 +18,22 @@ main(sys.argv[1:])
 """
 
 CLOSED = """
-import sys
-sys.stdout = None  # as Python has it when the descriptor is closed
+import os, sys
+os.close(0)
+os.close(1)
+sys.stdin = sys.stdout = None  # as Python has it then
 from esair.cli import main
 main(sys.argv[1:])
+"""
+
+UNHEARD = """
+import os
+reading, writing = os.pipe()
+os.close(reading)
+os.dup2(writing, 1)
+from esair.cli import _main
+_main._run = lambda words: print("wheels: no answer") or 1
+_main.main([])
 """
 
 FULL = """
@@ -152,6 +164,25 @@ def test_closed_output_is_no_error(start, tmp_path) -> None:
 
     assert process.returncode == 0, told
     assert not told
+
+
+@pytest.mark.real_clock
+def test_a_closed_input_is_no_terminal(start, tmp_path) -> None:
+    """It is told as any other that has no keys."""
+    process = start("drive", "wheels", cwd=tmp_path, code=CLOSED)
+    _, told = process.communicate(timeout=60)
+
+    assert process.returncode == 2
+    assert told == "esair: drive: expected a terminal with keys\n"
+
+
+@pytest.mark.real_clock
+def test_who_hears_nothing_still_gets_the_exit_code(start, tmp_path) -> None:
+    """``esair stop | true``: an actuator that has not answered is none that is safe."""
+    process = start(cwd=tmp_path, code=UNHEARD)
+    _, told = process.communicate(timeout=60)
+
+    assert (process.returncode, told) == (1, "")
 
 
 @pytest.mark.long

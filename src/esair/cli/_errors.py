@@ -37,7 +37,7 @@ _EXTRAS: Final = {
 def show(line: str, stream: TextIO | None = None) -> None:
     """Write one line; to a terminal as several, which begin with whole words."""
     stream = stream or sys.stdout
-    if stream is not None and stream.isatty():
+    if stream.isatty():
         line = textwrap.fill(
             line,
             os.get_terminal_size(stream.fileno()).columns or 80,

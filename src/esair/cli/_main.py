@@ -33,16 +33,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if importlib.util.find_spec(package) is None:
             tell(f'the command line needs {package}: pip install "esair[cli]"')
             sys.exit(CANNOT_USE)
-    with contextlib.suppress(AttributeError):  # it may be closed
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:  # closed: its number would be a device's
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - it stays
+    with contextlib.suppress(AttributeError):  # of a program that has put its own there
         # A terminal of few letters gets the others as numbers, not an error.
         sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+    code = 0
     try:
         code = _run(sys.argv[1:] if arguments is None else list(arguments))
-        if sys.stdout is not None:  # it may be closed
-            sys.stdout.flush()
+        sys.stdout.flush()
     except BrokenPipeError:  # the reader, such as ``head``, has seen enough
         _write_no_more()
-        code = 0
     except KeyboardInterrupt:  # before the verb has taken care of it, or once more
         code = INTERRUPTED
     except OSError as error:

@@ -203,7 +203,7 @@ def view(*, robot: Which = None, port: int = 8765, origin: Sequence[str] = ()) -
     try:
         with connect(robot) as client:
             return asyncio.run(show(client, Views(client.name, origin), port))
-    except EsairError:
+    except (EsairError, BrokenPipeError):
         raise
     except OSError as error:
         tell(f"--port: {describe(error)}")
