@@ -31,9 +31,16 @@ import os
 reading, writing = os.pipe()
 os.close(reading)
 os.dup2(writing, 1)
-from esair.cli import _main
-_main._run = lambda words: print("wheels: no answer") or 1
-_main.main([])
+from esair.cli import _steer, main
+
+class Client:
+    __enter__ = __exit__ = lambda *_: Client()
+    def do(self, *_, **__):
+        actuator = {"name": "wheels", "answered": False, "command": "", "why": ""}
+        return {"reason": "a cat", "told": [actuator]}
+
+_steer.connect = lambda robot: Client()
+main(["stop", "--json"])
 """
 
 FULL = """
