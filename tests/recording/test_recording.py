@@ -585,3 +585,15 @@ def test_a_name_that_another_robot_takes_first_is_not_lost(
     esair.run(esair.Robot(record=esair.Recording(taken)), duration=0.05)
     assert taken.read_bytes() == b"another robot's"
     assert is_whole(tmp_path / "run-2.mcap")
+
+
+@pytest.mark.promise("REC-4")
+def test_it_is_told_where_it_records(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A file that is there is kept, so that the recording has another name."""
+    (tmp_path / "run.mcap").write_bytes(b"an earlier run")
+    robot = esair.Robot(record=esair.Recording(tmp_path / "run.mcap"))
+    with caplog.at_level(logging.INFO, "esair"):
+        esair.run(robot, duration=0.05)
+    assert f"recording: {tmp_path / 'run-2.mcap'}" in caplog.messages

@@ -126,6 +126,7 @@ class Recorder:
         self._offset = time.time() - now
         facts = {"offset": repr(self._offset), "python": sys.version.split()[0]}
         self._facts.append(("clock", facts))
+        _log.info("recording: %s", self.path)
         self._thread.start()
 
     def keep_turns(self) -> TapeWriter:
