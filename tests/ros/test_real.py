@@ -320,6 +320,10 @@ class Counts(Hand):
     async def square(self, request: Ask) -> Basic:
         return Basic(request.uint8_value**2)
 
+    @esair.answers
+    async def count(self, request: Count) -> tuple[int, ...]:
+        return (request.order, 1 << 40)
+
 
 @pytest.mark.promise("ROS-1")
 async def test_what_does_not_fit_a_type_of_ros_is_not_sent() -> None:
@@ -332,6 +336,7 @@ async def test_what_does_not_fit_a_type_of_ros_is_not_sent() -> None:
     )
     made.network.links += [
         ros.Link("/square", kind, "service", "in", "counts", form, answer),
+        Citizen.call("/large", "in", "counts", "test_msgs/action/Fibonacci", Count),
         Citizen.out("/number", "std_msgs/msg/UInt8", "number"),
         Citizen.out("/rows", "test_msgs/msg/Arrays", "rows"),
     ]
@@ -349,6 +354,9 @@ async def test_what_does_not_fit_a_type_of_ros_is_not_sent() -> None:
             judge.do("call", "/square", kind, {"uint8_value": asked})
             answered = await judge.until("answer", "/square")
             assert answered[2]["uint8_value"] == told
+        judge.do("goal", "/large", "test_msgs/action/Fibonacci", {"order": 3})
+        result = await judge.until("result", "/large")
+        assert result[2:] == [6, {"sequence": []}]  # STATUS_ABORTED
         judge.do("hear", "/number", "std_msgs/msg/UInt8")
         number.feed(7)
         assert (await judge.until("heard", "/number"))[2] == {"data": 7}

@@ -358,7 +358,7 @@ class Graph:
     def _qos(self, link: dict[str, Any], depth: int, reliable: bool) -> Any:
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-        qos = QoSProfile(depth=depth)
+        qos = QoSProfile(depth=1 if link["latched"] else depth)
         if link["latched"]:
             qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
         elif not reliable:
@@ -399,21 +399,21 @@ class Graph:
                 *(name, plain(request), lambda *end: future.set_result(end)),
                 lambda _: None,
             )
-            how, value = await future
-            return self._filled(response, how, value)
+            return self._filled(response, *await future)[0]
 
         self.node.create_service(link["class"], name, serve, callback_group=self.group)
 
-    def _filled(self, response: Any, how: str, value: Any) -> Any:
+    def _filled(self, response: Any, how: str, value: Any) -> tuple[Any, bool]:
+        """Return a response, and whether it is an answer that fits."""
         if how == "answered":
             try:
-                return fill(response, value)
+                return fill(response, value), True
             except Exception as error:  # one that does not fit ends this call alone
                 how, value, response = "failed", error, type(response)()
         kinds = response.get_fields_and_field_types()
         told = {"success": False, "message": str(value)}
         self.node.get_logger().warning(f"{how}: {value}")
-        return fill(response, {name: told[name] for name in told if name in kinds})
+        return fill(response, {name: told[name] for name in told if name in kinds}), False
 
     def _action_in(self, name: str, link: dict[str, Any]) -> None:
         from rclpy.action import ActionServer, CancelResponse
@@ -434,15 +434,15 @@ class Graph:
             numbers[bytes(goal.goal_id.uuid)] = number
             if goal.is_cancel_requested:
                 self.bridge.give_up(number)
-            how, value = await future
+            result, is_done = self._filled(kind.Result(), *await future)
             del numbers[bytes(goal.goal_id.uuid)]
-            if how == "answered":
+            if is_done:
                 goal.succeed()
             elif goal.is_cancel_requested:
                 goal.canceled()
             else:
                 goal.abort()
-            return self._filled(kind.Result(), how, value)
+            return result
 
         def cancel(goal: Any) -> Any:
             self.bridge.give_up(numbers.get(bytes(goal.goal_id.uuid)))
