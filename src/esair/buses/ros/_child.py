@@ -410,10 +410,11 @@ class Graph:
                 return fill(response, value), True
             except Exception as error:  # one that does not fit ends this call alone
                 how, value, response = "failed", error, type(response)()
-        kinds = response.get_fields_and_field_types()
-        told = {"success": False, "message": str(value)}
         self.node.get_logger().warning(f"{how}: {value}")
-        return fill(response, {name: told[name] for name in told if name in kinds}), False
+        for name, part in (("success", False), ("message", str(value))):
+            if hasattr(response, name):
+                setattr(response, name, part)
+        return response, False
 
     def _action_in(self, name: str, link: dict[str, Any]) -> None:
         from rclpy.action import ActionServer, CancelResponse
