@@ -369,3 +369,25 @@ async def test_a_circle_over_two_robots_is_refused_at_once(bays: int) -> None:
             ):
                 await asked
         assert await hand.ask("far_docking", Dock(1), timeout=1.0) == Docked(0)
+
+
+@pytest.mark.promise("NET-6")
+async def test_an_actuator_that_is_there_is_not_lost() -> None:
+    """Of what has said nothing yet an owner may tell that it is there: without a reason."""
+    pair = Pair()
+    async with pair.both(Hand()) as (_, rover):
+        pair.to_rover.say("gone", "wheels", "")
+        await asyncio.sleep(0.1)
+        assert rover.resources.query("far_wheels").losses == 0
+
+
+@pytest.mark.promise("NET-3")
+async def test_an_answer_of_a_class_that_is_not_known_says_which() -> None:
+    """Whoever uses an actuator as another type hears what its owner says, at once."""
+    pair = Pair()
+    bus = pair.to_base
+    wheels = PeerActuator(name="wheels", bus=bus, type=float)
+    robot = esair.Robot(name="rover", resources=[Peer(name="base", bus=bus), wheels])
+    async with pair.base(), robot:
+        await asyncio.sleep(0.3)
+        assert "parts.Twist" in str(robot.resources.query("wheels").error)

@@ -351,6 +351,8 @@ class PeerBus(Bus):
                 listener()
         elif (parts := self.parts(what, body)) is not None:
             self._hand_on(what, sent, parts)
+        elif what == "answer" and (of := self._pending.get(number_of(body) or 0)):
+            arrive(of.outcome, ("lost", str(self.stats.last_error)))
 
     def _not_served(self, what: str, body: bytes) -> None:
         """Answer what comes before this robot is ready to serve, or after."""

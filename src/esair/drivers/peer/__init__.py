@@ -245,7 +245,7 @@ class PeerActuator(Actuator[Any]):
             raise BadValueError(self.name, "command", str(error)) from None
 
     def _hear_gone(self, name: str, why: str) -> None:
-        if name == self.remote:
+        if name == self.remote and why:
             told = f"{self.bus.name!r} says: {why}"
             self.report_lost(DeviceLostError(self.name, told))
 
