@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from collections.abc import AsyncIterator
+from contextlib import aclosing
 from typing import Any
 
 import pytest
@@ -177,6 +178,21 @@ async def test_a_thing_that_tells_no_value_any_more_is_at_fault() -> None:
             bus.feed("t", "nan")
         with pytest.raises(DeviceFaultError, match="3 messages in a row have no such"):
             await coming
+
+
+@pytest.mark.promise("SC-3")
+async def test_what_was_kept_is_told_once() -> None:
+    """Whoever subscribes later has it told on the same connection, to all."""
+    bus = FakeMqtt()
+    bus.feed("goal", "3", retain=True)
+    sensor = MqttSensor(topic="goal", retained=True, bus=bus)
+    async with opened(sensor), aclosing(sensor.stream()) as stream:
+        assert await anext(stream) == 3.0
+        bus.feed("goal", "4")
+        assert await anext(stream) == 4.0
+        with await bus.subscribe("#"):
+            bus.feed("goal", "5")
+            assert await anext(stream) == 5.0
 
 
 @pytest.mark.parametrize("retained", [False, True])

@@ -158,7 +158,8 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
         kind: ``"number"``, ``"switch"`` (a bool), ``"text"`` or ``"json"``.
         value: The way to it in JSON, such as ``"level.cm"`` or ``"cells.0"``.
         on: What a switch says when it is on; ``off`` likewise.
-        retained: Whether what the broker has kept is a reading, too, however old it is.
+        retained: Whether what the broker has kept is a reading, too, however old it is,
+            until something newer has come.
         silent_after: After how many seconds without a value the device is lost; it may
             be silent for ever if None.
         status: The topic of the device's last will; it is lost unless ``online`` is
@@ -174,6 +175,7 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
     """
 
     _bad_in_row = 0
+    _is_live = False
 
     _topic_of_announcement = "command_topic"
     counted: ClassVar[tuple[str, ...]] = ("bad_payloads",)
@@ -218,6 +220,7 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
             DeviceFaultError: No value comes any more, but ``nan``, say, and the last one
                 would stay current for ever.
         """
+        self._is_live = False
         topics = (self.topic,) if self.status is None else (self.status, self.topic)
         with await self.bus.subscribe(*topics) as inbox:
             values = heard(self, inbox, self.silent_after, self._value_of)
@@ -226,8 +229,11 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
 
     def _value_of(self, message: Message) -> tuple[Any] | None:
         """Return the value of a message, if it has one; ``null`` of JSON is one, too."""
-        if self._is_status(message) or (message.retained and not self.retained):
+        if self._is_status(message):
             return None
+        self._is_live = self._is_live or not message.retained
+        if message.retained and (self._is_live or not self.retained):
+            return None  # or it is told again because somebody else asks for it
         try:
             value = self._decoded(message.payload)
         except (ValueError, LookupError, TypeError, ArithmeticError, RecursionError):
