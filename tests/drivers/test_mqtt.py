@@ -185,7 +185,7 @@ async def test_what_was_kept_is_told_once() -> None:
     """Whoever subscribes later has it told on the same connection, to all."""
     bus = FakeMqtt()
     bus.feed("goal", "3", retain=True)
-    sensor = MqttSensor(topic="goal", retained=True, bus=bus)
+    sensor: Any = MqttSensor(topic="goal", retained=True, bus=bus)
     async with opened(sensor), aclosing(sensor.stream()) as stream:
         assert await anext(stream) == 3.0
         bus.feed("goal", "4")
