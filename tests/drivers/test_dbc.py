@@ -389,6 +389,30 @@ async def test_a_silent_node_makes_readings_stale(fake_can: Any) -> None:
             await robot.sensors.read(right, max_age=0.5)
 
 
+@pytest.mark.promise("SC-3")
+@pytest.mark.fault("D15")
+async def test_a_node_that_hangs_gives_no_reading_at_all(fake_can: Any) -> None:
+    """Nor one after each fault, or opening, from which on its frames are listened to."""
+    wire = fake_can("drive")
+    node = FakeDbcNode(wire, ROVER)
+    sensor = DbcSensor(
+        name="left",
+        bus=wire,
+        database=ROVER,
+        message="WheelCommand",
+        signal="left",
+        sequence="count",
+    )
+    user: Any = esair.Behavior(name="user", reads={"left": esair.reads(float)})
+    async with esair.Robot(resources=[sensor], behaviors=[user]) as robot:
+        node.send_every(0.01, "WheelCommand", left=1.0, right=0.0, gear=1, count=7)
+        assert (await user.left.reading(timeout=1.0)).sequence == 1
+        await asyncio.sleep(10.0)
+        assert robot.resources.query("left").losses > 0
+        assert robot.journal.counts()["left"]["readings"] == 1
+        node.stop()
+
+
 @pytest.mark.fault("C08")
 async def test_a_command_is_repeated_until_its_time_is_over_and_no_longer(
     fake_can: Any,

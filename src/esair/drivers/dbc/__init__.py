@@ -388,7 +388,6 @@ class DbcSensor(Sensor[Any]):
         signal = self.signal
         as_text = self.value_type is str
         bad_in_row = 0
-        self._numbers.clear()
         self._inbox = self._frames()
         with self._inbox:
             async for frame in self._heard(self._inbox):

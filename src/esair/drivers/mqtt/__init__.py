@@ -204,6 +204,7 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
 
     async def open(self) -> None:
         """Make sure that it is there, if it has to say so."""
+        self._is_live = False
         await self._announce()
         if self.status is None and self.silent_after is None:
             return
@@ -220,7 +221,6 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
             DeviceFaultError: No value comes any more, but ``nan``, say, and the last one
                 would stay current for ever.
         """
-        self._is_live = False
         topics = (self.topic,) if self.status is None else (self.status, self.topic)
         with await self.bus.subscribe(*topics) as inbox:
             values = heard(self, inbox, self.silent_after, self._value_of)
