@@ -13,6 +13,7 @@ everything here is in rad.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import enum
 import math
 import struct
@@ -23,7 +24,7 @@ import attrs
 
 from esair.buses import CanBus, Inbox
 from esair.buses import Frame as CanFrame
-from esair.drivers._on_bus import ended, watching
+from esair.drivers._on_bus import ended, heard, watching
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
 from esair.resources import (
     HOLD,
@@ -292,24 +293,16 @@ class _OnAxis(Resource):
         ids = (frame_id(self.node, message) for message in messages)
         return self.bus.frames(*ids, limit=limit)
 
-    async def _next(self, inbox: Inbox[CanFrame]) -> Heartbeat:
-        """Wait for the next heartbeat."""
-        loop = asyncio.get_running_loop()
-        due = loop.time() + self.heartbeat_timeout
-        while True:
-            try:
-                frame = await inbox.take(timeout=max(0.0, due - loop.time()))
-                return decode_heartbeat(frame.data)
-            except FrameError:
-                continue
-            except TimeoutError:
-                raise self._silent() from None
+    def _beats(self, inbox: Inbox[CanFrame]) -> AsyncIterator[Heartbeat]:
+        """Yield each heartbeat; an axis without any is lost."""
+        what = f"no heartbeat of node {self.node}"
+        return heard(self, inbox, self.heartbeat_timeout, _heartbeat, what)
 
-    def _silent(self) -> DeviceLostError:
-        return DeviceLostError(
-            self.name,
-            f"no heartbeat of node {self.node} for {self.heartbeat_timeout:g} s",
-        )
+
+def _heartbeat(frame: CanFrame) -> Heartbeat | None:
+    with contextlib.suppress(FrameError):
+        return decode_heartbeat(frame.data)
+    return None
 
 
 class _AxisSettings(TypedDict, total=False):
@@ -348,7 +341,7 @@ class OdriveState(_OnAxis, Sensor[AxisReading]):
     async def open(self) -> None:
         """Make sure that the axis is there."""
         with self._frames(Message.HEARTBEAT, limit=4) as inbox:
-            await self._next(inbox)
+            await anext(self._beats(inbox))
 
     async def stream(self) -> AsyncIterator[AxisReading]:
         """Yield each estimate of the encoder."""
@@ -358,14 +351,10 @@ class OdriveState(_OnAxis, Sensor[AxisReading]):
         heartbeat: Heartbeat | None = None
         inbox = self._frames(Message.HEARTBEAT, Message.GET_ENCODER_ESTIMATES, limit=64)
         with inbox:
-            while True:
+            # It may measure, but its heart stand still; or its beat wait behind that.
+            while inbox or loop.time() < due:
                 try:
                     frame = await inbox.take(timeout=max(0.0, due - loop.time()))
-                except TimeoutError:
-                    raise self._silent() from None
-                except StopAsyncIteration:
-                    return
-                try:
                     if frame.id == heartbeat_id:
                         heartbeat = decode_heartbeat(frame.data)
                         due = loop.time() + self.heartbeat_timeout
@@ -374,13 +363,18 @@ class OdriveState(_OnAxis, Sensor[AxisReading]):
                 except FrameError:
                     self.bad_frames += 1
                     continue
-                # It measures, but its heart stands still; or its beat waits behind this.
-                if loop.time() >= due and not inbox:
-                    raise self._silent()
+                except TimeoutError:
+                    break
+                except StopAsyncIteration:
+                    return
                 if heartbeat is not None:
                     yield AxisReading(
                         position, velocity, heartbeat.state, heartbeat.error_names
                     )
+        raise DeviceLostError(
+            self.name,
+            f"no heartbeat of node {self.node} for {self.heartbeat_timeout:g} s",
+        )
 
 
 class OdriveAxis(_OnAxis, Actuator[float]):
@@ -461,10 +455,11 @@ class OdriveAxis(_OnAxis, Actuator[float]):
         """Make sure that it is there and without errors; it is not armed by that."""
         inbox = self._frames(Message.HEARTBEAT, limit=4)
         try:
-            heartbeat = await self._next(inbox)
+            beats = self._beats(inbox)
+            heartbeat = await anext(beats)
             if heartbeat.errors:
                 await self._send(Message.CLEAR_ERRORS, b"\0")
-                heartbeat = await self._cleared(inbox, heartbeat)
+                heartbeat = await self._cleared(beats)
             # One that was left armed is: its safe command is the next thing that it gets.
             was_armed = heartbeat.state is AxisState.CLOSED_LOOP_CONTROL
             if was_armed and self.control is ControlMode.POSITION:
@@ -530,10 +525,10 @@ class OdriveAxis(_OnAxis, Actuator[float]):
     async def _send(self, message: Message, data: bytes) -> None:
         await self.bus.send(frame_id(self.node, message), data, replaces=True)
 
-    async def _cleared(self, inbox: Inbox[CanFrame], heartbeat: Heartbeat) -> Heartbeat:
+    async def _cleared(self, beats: AsyncIterator[Heartbeat]) -> Heartbeat:
         """Wait for a heartbeat without errors, which may be the second one."""
         for _ in range(3):
-            heartbeat = await self._next(inbox)
+            heartbeat = await anext(beats)
             if not heartbeat.errors:
                 return heartbeat
         raise DeviceFaultError(
@@ -542,8 +537,8 @@ class OdriveAxis(_OnAxis, Actuator[float]):
 
     async def _watch(self, inbox: Inbox[CanFrame]) -> None:
         try:
-            while True:
-                self._check_state(await self._next(inbox))
+            async for heartbeat in self._beats(inbox):
+                self._check_state(heartbeat)
         finally:
             self._armed_at = None
 
