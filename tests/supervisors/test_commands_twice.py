@@ -84,3 +84,37 @@ async def test_a_robot_that_is_not_entered_takes_no_command(
     robot = esair.Robot(**options)
     with pytest.raises(esair.StoppingError, match="enter the robot first"):
         await asyncio.wait_for(getattr(getattr(robot, supervisor), verb)(*terms), 1.0)
+
+
+@pytest.mark.promise("SUP-3", "MODE-2")
+@pytest.mark.parametrize("verb", ["add", "replace"])
+async def test_a_failed_command_is_undone_though_its_caller_gives_up(
+    verb: str, fake_actuator: type[FakeActuator[float]]
+) -> None:
+    """Else its name, and every switch, would wait for ever for one that is half gone."""
+
+    class Bad(esair.Behavior):
+        arm = esair.writes(float)
+
+        async def setup(self) -> None:
+            arm.slow(0.15)
+            await self.arm.write(1.0)
+            raise ValueError("a bug")
+
+    arm = fake_actuator("arm", safe=0.0)
+    rests = esair.Behavior(name="rests")
+    modes = {"one": esair.Mode([]), "two": esair.Mode(["rests"])}
+    robot = esair.Robot(resources=[arm], behaviors=[rests], modes=modes, mode="one")
+    async with robot:
+        behaviors = robot.behaviors
+        if verb == "replace":
+            await behaviors.add(esair.Behavior(name="bad"))
+        bad = Bad()
+        work = behaviors.add(bad) if verb == "add" else behaviors.replace("bad", bad)
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(work, 0.2)
+        async with asyncio.timeout(1.0):
+            await behaviors.switch("two")
+            if verb == "replace":
+                await behaviors.remove("bad")
+            await behaviors.add(esair.Behavior(name="bad"))

@@ -501,7 +501,11 @@ class BehaviorDeployment:
         self.take_out(member)
 
     async def end(self, *members: Member) -> None:
-        """End members; what they moved is safe, or the time for both is over."""
+        """End members; what they moved is safe, or the time for both is over.
+
+        A command that does so cannot be given up any more: it would leave half of one.
+        """
+        self.commands.no_return()
         loop = asyncio.get_running_loop()
         for member in members:
             self.ending.append(member)
