@@ -644,3 +644,26 @@ async def test_a_source_that_is_not_there_is_the_cause_of_its_absence() -> None:
         cause = raised.value.__cause__
         assert isinstance(cause, esair.EsairError)
         assert str(cause) == "device of 'left' is lost: it is unplugged"
+
+
+@pytest.mark.promise("RES-2", "ROB-3")
+@pytest.mark.parametrize("error", [GeneratorExit, asyncio.CancelledError])
+async def test_whatever_its_open_raises_it_is_opened_again(
+    error: type[BaseException],
+) -> None:
+    """It was never open again, and nobody was told."""
+
+    class Fails(Distance):
+        def open(self) -> None:
+            super().open()
+            if self.begun == 1:
+                raise error
+
+    left, right, _ = rover()
+    distance = Fails()
+    robot = esair.Robot(resources=[left, right, distance])
+    async with asyncio.timeout(10.0), robot:
+        await asyncio.sleep(5.0)
+        assert robot.resources.query("fails").state is ResourceState.READY
+
+    assert distance.begun == 2

@@ -13,7 +13,7 @@ from esair.actions._reaction import Reaction
 from esair.actions._reaction_runner import Hooks, ReactionRunner
 from esair.connections import Computation, DerivedChannel, Source
 from esair.exceptions import DeviceLostError, EsairError
-from esair.loop import NEVER, Owner
+from esair.loop import NEVER, Owner, raisable
 from esair.messages import ResourceState, Stamped
 from esair.resources import Sensor
 
@@ -183,7 +183,12 @@ class Derivation(ReactionRunner):
                 assert isinstance(each, _Tap)
                 raise each.absence()
         self.clock.begin_anew(self._derived)
-        self._derived.open()
+        try:
+            self._derived.open()
+        except Exception:
+            raise
+        except BaseException as error:  # contained: it would end who opens it
+            raise raisable(error, self._derived.name) from error
         if not self.senses.missing:
             self.job.soon()
 
