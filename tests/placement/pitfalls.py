@@ -7,6 +7,7 @@ import contextlib
 import logging
 import os
 import subprocess
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -225,6 +226,34 @@ class Dies(esair.Behavior):
         async for count in self.counts:
             async with count:
                 os._exit(3)
+
+
+class Falls(esair.Behavior):
+    """Dies far below, with others at work, after a word on why."""
+
+    placement = esair.Placement(stall=0.5)
+    restart = esair.Restart(max=0)
+
+    def __init__(self, how: str) -> None:
+        super().__init__()
+        self.how = how
+
+    async def run(self) -> None:
+        for _ in range(3):
+            threading.Thread(target=time.sleep, args=(60.0,), daemon=True).start()
+        print("no such part", flush=True)  # noqa: T201 - as a library in C does
+        self.fall(40)
+
+    def fall(self, depth: int) -> None:
+        if depth:
+            self.fall(depth - 1)
+        else:
+            self.culprit()
+
+    def culprit(self) -> None:
+        if self.how == "hang":
+            time.sleep(60.0)
+        os.abort()
 
 
 class Complains(esair.Behavior):

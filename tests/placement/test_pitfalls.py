@@ -21,6 +21,7 @@ from tests.placement.pitfalls import (
     Dies,
     Drive,
     Eyes,
+    Falls,
     Looks,
     Murmurs,
     Notes,
@@ -244,6 +245,18 @@ async def test_programs_that_a_component_has_begun_end_with_it() -> None:
         assert all(map(lives, pids))
 
     await until(lambda: not any(map(lives, pids)), within=2.0)
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("PLC-3")
+@pytest.mark.parametrize("how", ["abort", pytest.param("hang", marks=pytest.mark.long)])
+async def test_where_it_has_died_is_in_its_error(how: str) -> None:
+    """However deep that was, and whoever else was at work; and what it has said before."""
+    async with esair.Robot(behaviors=[Falls(how)]) as robot:
+        await until(lambda: state(robot, "falls") is BehaviorState.FAILED)
+        told = str(robot.behaviors.query("falls").error)
+    assert "culprit" in told
+    assert "no such part" in told
 
 
 @pytest.mark.promise("PLC-4", "SUP-3")

@@ -14,6 +14,7 @@ import functools
 import json
 import logging
 import os
+import re
 import select
 import signal
 import socket
@@ -56,8 +57,16 @@ START: Final = 30.0
 LARGE: Final = 1 << 14
 """What has more bytes is opened in a thread: it would hold up the loop for a millisecond."""
 
-KEPT: Final = 2000
+KEPT: Final = 1 << 15
 """How many characters of what a child has written last are kept."""
+
+WORDS: Final = 2000
+"""How many of them its error has, and how many of its stacks."""
+
+FRAMES: Final = 12
+"""How many lines its error has of the stack of each thread, where that is now first."""
+
+_STACK: Final = re.compile(r"^(?:Current t|T)hread 0x.*\n(?:  .*\n)*", re.M)
 
 LINES: Final = 200
 """How many lines of a child are logged in a second."""
@@ -385,7 +394,8 @@ class Process(Exchange):
             data, files = b"", []
         what, _, rest = data.partition(b" ")
         if what == b"pid":
-            self.pid, self._pidfd = int(rest), files[0]
+            self.pid = int(rest)
+            (self._pidfd,) = files or [-1]  # there may be no room for one more
             if self._work:  # its time begins when it is there
                 self._hang.cancel()
                 self._may_work_from(self._time())
@@ -517,7 +527,14 @@ class Words:
         """Return what was written last, all that is there."""
         for _ in range(8):
             self._heard()
-        return (self._kept + self._begun.decode(errors="replace")).strip()[-KEPT:]
+        told = f"{self._kept}{self._begun.decode(errors='replace')}\n"
+        words, stacks = _STACK.sub("", told), _STACK.findall(told)[::-1]
+        stacks.sort(
+            key=lambda stack: stack.startswith("Thread")
+        )  # what crashed is first
+        lines = [line for each in stacks for line in each.splitlines()[:FRAMES]]
+        lines.insert(0, words.strip()[-WORDS:])
+        return "\n".join(lines).strip()[: 2 * WORDS]
 
     def close(self) -> None:
         self._heard()
