@@ -128,6 +128,93 @@ def test_a_process_runs_as_the_robot_does(tmp_path: Path) -> None:
     assert "all well None" in ended.stdout, ended.stderr
 
 
+TELLS = """
+import pathlib
+import sys
+
+import esair
+
+
+class Drive(esair.Behavior):
+    placement = "process"
+
+    async def run(self):
+        print("seen by nobody", file=sys.stderr)
+        await self.stop_robot("all well")
+
+
+if __name__ == "__main__":
+    robot = esair.Robot(behaviors=[Drive()])
+    esair.run(robot, duration=30.0)
+    pathlib.Path("told").write_text(robot.stopped.reason)
+"""
+
+
+@pytest.mark.promise("PLC-1")
+@pytest.mark.parametrize(
+    "closed",
+    [
+        "<&- >&- 2>&-",
+        *(pytest.param(each, marks=pytest.mark.long) for each in (">&-", "2>&-")),
+    ],
+)
+def test_a_robot_without_an_output_has_processes(closed: str, tmp_path: Path) -> None:
+    """As a service may be started: what is opened first has the number of the output."""
+    (tmp_path / "script.py").write_text(TELLS)
+    program = ["sh", "-c", f'exec "$0" script.py {closed}', sys.executable]
+    subprocess.run(program, cwd=tmp_path, timeout=60, check=False)
+    assert (tmp_path / "told").read_text() == "drive: all well"
+
+
+CROWD = """
+import asyncio
+import resource
+
+import esair
+
+
+class Waits(esair.Behavior):
+    placement = "process"
+    restart = esair.Restart(max=0)
+
+    async def run(self):
+        await asyncio.sleep(60.0)
+
+
+async def main():
+    robot = esair.Robot(behaviors=[Waits(name=f"waits_{n}") for n in range(16)])
+    async with robot:
+        await asyncio.sleep(0.5)
+        found = [robot.behaviors.query(f"waits_{n}") for n in range(16)]
+    runs = [each for each in found if each.state is esair.BehaviorState.RUNNING]
+    told = [str(each.error) for each in found if each not in runs]
+    assert all(each.pid for each in runs) and runs, runs
+    assert told and all("Too many open files" in each for each in told), told
+    print("all well")
+
+
+if __name__ == "__main__":
+    resource.setrlimit(resource.RLIMIT_NOFILE, (48, 48))
+    asyncio.run(main())
+"""
+
+
+@pytest.mark.long
+@pytest.mark.promise("PLC-3")
+def test_whose_process_has_no_room_for_a_file_says_so(tmp_path: Path) -> None:
+    """The others have theirs, and it is known which."""
+    (tmp_path / "script.py").write_text(CROWD)
+    ended = subprocess.run(
+        [sys.executable, "script.py"],
+        capture_output=True,
+        cwd=tmp_path,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert "all well" in ended.stdout, ended.stderr
+
+
 @pytest.mark.promise("PLC-1", "RS-8")
 @pytest.mark.parametrize("how", ["-", "-c"])
 def test_a_program_that_is_in_no_file_places_nothing(how: str) -> None:

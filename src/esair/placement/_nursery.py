@@ -55,18 +55,19 @@ class Nursery:
 
     def _start(self) -> None:
         mine, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        me = os.pidfd_open(os.getpid())
         try:
             self._process = subprocess.Popen(
                 [
                     sys.executable,
                     *_flags(),
                     *("-P", "-m", "esair.placement._nursery"),
-                    *map(str, (its.fileno(), me)),
+                    str(os.getpid()),
                     *(each for each in sys.modules if each.startswith("esair.")),
                 ],
-                stdin=subprocess.DEVNULL,
-                pass_fds=(its.fileno(), me),
+                stdin=its.fileno(),
+                # Where the robot has none, what is opened first would take its number.
+                stdout=None if sys.__stdout__ else subprocess.DEVNULL,
+                stderr=None if sys.__stderr__ else subprocess.DEVNULL,
                 start_new_session=True,  # Ctrl-C is the robot's
                 env={
                     **os.environ,
@@ -78,7 +79,6 @@ class Nursery:
             raise
         finally:
             its.close()
-            os.close(me)
         self._control = mine
 
     @classmethod
@@ -173,7 +173,10 @@ def _die_with_parent(parent: int) -> None:
 
 def main() -> None:
     """Serve until the process that has started this one is gone."""
-    control_fd, parent_fd = map(int, sys.argv[1:3])
+    parent = int(sys.argv[1])
+    parent_fd = os.pidfd_open(parent)
+    if os.getppid() != parent:  # it has died already
+        return
     # One that was stopped goes on when its robot dies: it has children to end.
     _libc.prctl(_PDEATHSIG, signal.SIGCONT)
     for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -183,13 +186,13 @@ def main() -> None:
         signal.siginterrupt(each, False)
     # Each child has it from the start: what it is made of, and what its module asks for.
     # What the robot's process has loaded too, the module of a component is likely to want.
-    for module in ("esair.placement._child", *sys.argv[3:]):
+    for module in ("esair.placement._child", *sys.argv[2:]):
         if not module.endswith("__main__"):
             with contextlib.suppress(ImportError):
                 importlib.import_module(module)
     gc.collect()
     gc.freeze()  # what is there is never written to: it is one for all
-    control = socket.socket(fileno=control_fd)
+    control = socket.socket(fileno=0)
     control.send(b"r")  # read by nobody: it can be looked at for ever
     Server(control, parent_fd).serve()
 
@@ -274,14 +277,14 @@ class Server:
         try:
             _die_with_parent(self._pid)
             os.setsid()  # what it starts ends with it
-            keep = {0, 1, 2, wire, words}
+            os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+            os.dup2(words, 1)
+            os.dup2(words, 2)
+            keep = {0, 1, 2, wire}
             for name in os.listdir("/proc/self/fd"):
                 if int(name) not in keep:
                     with contextlib.suppress(OSError):
                         os.close(int(name))
-            os.dup2(words, 1)
-            os.dup2(words, 2)
-            os.close(words)
             self._control.detach()
             from esair.placement._child import live
 
