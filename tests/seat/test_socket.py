@@ -645,6 +645,7 @@ class Lift(esair.Actuator[float]):
 
     safe = 0.0
     pace = esair.setting(Speed.SLOW)
+    code = esair.setting("")
 
     async def write(self, command: float) -> None:
         pass
@@ -659,7 +660,7 @@ class Lift(esair.Actuator[float]):
 
 @pytest.mark.promise("OPS-2")
 async def test_what_json_has_no_word_for_is_given_as_in_a_robots_file(rover, raw):
-    """Enums by their values, tuples as lists: of operations and of settings."""
+    """Enums by values, tuples as lists, a text of digits: in operations and settings."""
     lift = Lift(name="lift")
     async with rover(resources=[lift]), raw() as client:
         up = {"resource": "lift", "operation": "lift"}
@@ -672,6 +673,8 @@ async def test_what_json_has_no_word_for_is_given_as_in_a_robots_file(rover, raw
         assert lift.pace is Speed.QUICK
         wrong = await client.do("4", "set", setting="lift.pace", value="x")
         assert "'slow', 'quick'" in wrong["error"]["text"]
+        await client.do("5", "set", setting="lift.code", value=5678)
+        assert lift.code == "5678"
 
 
 @attrs.frozen

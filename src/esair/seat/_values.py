@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import numbers
 from collections.abc import Mapping, Sized
@@ -31,7 +32,12 @@ def typed(value: Any, kind: Any, component: str, field: str) -> Any:
 
 
 def fitted(value: Any, kind: Any, component: str, field: str) -> Any:
-    """Return a value of JSON as a type that JSON does not have, any other as it is."""
+    """Return a value of JSON as a type that JSON does not have, any other as it is.
+
+    A text may have been typed as a number: 5678.
+    """
+    if kind is str and type(value) in {int, float}:
+        return json.dumps(value)
     is_plain = kind in {float, int, bool, str, type(None)}
     return value if is_plain else typed(value, kind, component, field)
 
