@@ -242,12 +242,15 @@ class Senses:
 
     def see(self, now: float) -> bool:
         """Tell whether it can decide; one with a reading that is too old is parked."""
-        if self.missing:
-            return False
-        if now >= self.stale_at:
+        if not self.missing and now >= self.stale_at:
             self._stale(now)
-            return False
-        return True
+        return not self.missing
+
+    def is_blind(self, now: float) -> bool:
+        """Tell whether it cannot decide; nothing is parked by that."""
+        return self.missing > 0 or any(
+            now >= each.stale_at and not each.optional for each in self.inputs
+        )
 
     def refresh(self, fed: Input) -> None:
         """Compute anew when the first reading becomes stale."""

@@ -280,8 +280,7 @@ class ReactionRunner:
 
     def _step(self, now: float) -> None:
         senses = self.senses
-        if senses.missing or now >= senses.stale_at:
-            senses.see(now)
+        if (senses.missing or now >= senses.stale_at) and not senses.see(now):
             return
         senses.steps += 1
         clock = self.clock  # hot: of `StepClock.step` what is needed here
@@ -417,8 +416,10 @@ class GuardRunner(ReactionRunner):
     def _judge(self, command: Any) -> Any:
         began, senses = self.time(), self.senses
         if senses.missing or began >= senses.stale_at:
-            self.job.soon()  # it is parked in a step of its own
-            return BLIND
+            if senses.is_blind(began):
+                self.job.soon()  # it is parked in a step of its own
+                return BLIND
+            senses.see(began)
         senses.steps += 1
         timed = self.step_time
         first = timed.begin() if timed is not None else 0.0
