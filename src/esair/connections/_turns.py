@@ -83,10 +83,10 @@ class Decision:
         self.sights = [each for each in self.sights if each is not sight]
 
     def look(self) -> None:
-        """Have the guards look at what stands, before anything of this turn leaves.
+        """Have the guards look at what stands at the end of the turn.
 
-        Not in their own step: what somebody who steps after them makes safe in this turn
-        stands no more.
+        What somebody makes safe in this turn, or moves otherwise, stands no more: they
+        look once, at what the actuator is to do from now on.
         """
         if not self._looks:
             self._looks = True
@@ -105,11 +105,16 @@ class Decision:
     def function(self, now: float) -> Awaitable[object] | None:
         """Decide. Called by the scheduler when all steps of the turn have run."""
         wish, self._wish = self._wish, None
-        if self._looks:
-            self._looks = False
+        if not self._looks:
+            return None if wish is None else self._commit(wish, now)
+        self._looks = False
+        asked = self._channel.guards.times
+        rest = None if wish is None else self._commit(wish, now)
+        if self._channel.guards.times == asked:
             self._channel.review()
-        if wish is None:
-            return None
+        return rest
+
+    def _commit(self, wish: Wish, now: float) -> Awaitable[object] | None:
         if not self._others:
             return wish.commit(now)[1]
         wishes, self._others = [wish, *self._others], ()
