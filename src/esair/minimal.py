@@ -460,7 +460,7 @@ class _Output:
             self.writer = None  # before a guard looks at what it stopped
         if still:
             self.tell(self.writer and self.safe, self.writer)
-        elif best or self.due:
+        elif best or (self.due and self.last != self.safe):
             self.ask(best)
         if self.last is not None and not self.writer:
             self.tell()

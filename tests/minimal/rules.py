@@ -969,6 +969,20 @@ def rule_a_guard_that_refuses_keeps_no_latch_open():
     assert loop.reset("guard")
 
 
+def rule_a_guard_latches_at_nothing_that_it_has_made_safe():
+    class Latches(Bumper):
+        motor = guards(float, latch=True)
+
+        def react(self, eye, motor):
+            return (motor, 0.0, None)[eye]
+
+    class Now(Go):
+        rate = 25
+
+    _, motor = blind_world([1, 2, 0], [Latches("guard"), Now()], 3)
+    assert motor.told == [0.0, 0.0, 1], motor.told
+
+
 def rule_a_guard_is_not_asked_because_somebody_else_is_blind():
     class Counts(Reaction):
         rate = 1

@@ -279,7 +279,7 @@ static void es_settle(es_output *o, uint32_t late)
     }
     if (age >= o->timeout) o->writer = NULL; /* before a guard looks at what it stopped */
     if (still) es_tell(o, o->safe, o->writer);
-    else if (best != NULL || o->news) es_review(o, best);
+    else if (best != NULL || (o->news && !o->rests)) es_review(o, best);
     if (o->stands && o->writer == NULL) es_tell(o, NULL, NULL);
 }
 
