@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import time
 from collections.abc import Iterator
 from typing import Any, cast
 
@@ -10,7 +11,7 @@ import pytest
 from tests.net.parts import free_port
 
 from esair.buses.peer import _line
-from esair.buses.peer._line import PAUSE, Line
+from esair.buses.peer._line import PAUSE, Line, pause
 
 pytestmark = pytest.mark.promise("NET-3")
 
@@ -186,6 +187,29 @@ def test_a_line_goes_on_where_no_way_can_be_made(place: Place) -> None:
     place.line._make = make
     place.pass_by(1.2)
     assert len(place.living()) == 5
+
+
+def test_an_answer_to_a_knock_is_not_waited_for() -> None:
+    """Between two knocks it is looked at as soon as it comes; the next one has its time."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        line = Line("127.0.0.1", server.getsockname()[1], TIMEOUT, _made)
+        line.silent = True
+        line.step(100.0)
+        began = time.monotonic()
+        pause([line])
+        assert time.monotonic() - began < 0.8 * PAUSE
+        line.step(100.001)
+        assert len(line.end()) == 5
+    line = Line("127.0.0.1", free_port(), TIMEOUT, _made)
+    line.silent = True
+    for now in (100.0, 100.001, 100.002):
+        line.step(now)
+    assert line.knocks == []  # nobody listens: there is no haste
+    line.end()
+
+
+def _made(_line: Line) -> Any:
+    return FakeWay()
 
 
 def test_a_knock_is_a_connection() -> None:

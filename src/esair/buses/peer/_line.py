@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import select
 import socket
 import threading
 from collections.abc import Callable, Iterable
@@ -40,6 +41,14 @@ def close_all(ways: Iterable[Way]) -> list[threading.Thread]:
     return closing
 
 
+def pause(lines: Iterable[Line]) -> None:
+    """Wait for a while, or until a knock of one of them has an answer."""
+    answers = select.poll()
+    for knock in (knock for line in lines for knock in line.knocks):
+        answers.register(knock, select.POLLOUT)
+    answers.poll(1000.0 * PAUSE)
+
+
 class Knock:
     """A bare connection, to see whether an endpoint can be reached."""
 
@@ -47,7 +56,7 @@ class Knock:
         self._socket = socket.socket(family, socket.SOCK_STREAM)
         self._socket.setblocking(False)
         self._socket.connect_ex(address)
-        self.close = self._socket.close
+        self.close, self.fileno = self._socket.close, self._socket.fileno
 
     def answer(self) -> bool | None:
         """Tell whether it is connected; None if that is not known yet."""
@@ -92,11 +101,16 @@ class Line:
         self._tries = 0
         self._knocks: list[tuple[float, Knock]] = []
         self._is_up = False
-        self._held_until = self._silent_at = 0.0
+        self._held_until = self._silent_at = self._next = 0.0
 
     def leads_to(self, peer: str) -> bool:
         """Tell whether it may be there."""
         return not self.peers or peer in self.peers
+
+    @property
+    def knocks(self) -> list[Knock]:
+        """Those that wait for an answer."""
+        return [] if self._held_until else [knock for _, knock in self._knocks]
 
     def step(self, now: float) -> bool:
         """Do what is to be done now, on a thread; tell whether there is more."""
@@ -147,6 +161,9 @@ class Line:
                 self._is_up = False
                 self._knocks.remove((begun, knock))
                 knock.close()
+        if now < self._next:
+            return
+        self._next = now + 0.9 * PAUSE
         with contextlib.suppress(OSError):  # no such name, no more sockets
             self._tries += 1
             if not self._places or self._tries % _RESOLVED == 0:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Final
 import attrs
 
 from esair.buses._opening import open_on, shut_on
-from esair.buses.peer._line import PAUSE, Line, close_all
+from esair.buses.peer._line import Line, close_all, pause
 from esair.buses.peer._wire import LIMIT, key_of
 from esair.exceptions import ConfigError, DeviceLostError, EsairError, describe
 from esair.loop import Door, spawn
@@ -386,7 +386,7 @@ class Network:
                     goes_on = True
                     _log.debug("network: no new ways", exc_info=True)
             if goes_on:
-                time.sleep(PAUSE)
+                pause(lines)
             else:
                 self._wake.wait()
 
