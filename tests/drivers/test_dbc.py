@@ -158,6 +158,29 @@ async def test_what_is_rounded_is_told_and_beyond_no_limit(fake_can: Any) -> Non
     assert wire.sent[-1].data[:2] == bytes([1, 0])
 
 
+@pytest.mark.promise("AC-1")
+async def test_what_is_rounded_to_the_greatest_is_that(
+    fake_can: Any, tmp_path: Path
+) -> None:
+    """Three times 0.1 is a bit more than 0.3, which the file allows."""
+    (path := tmp_path / "tenths.dbc").write_text(
+        'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 5 Tenths: 8 A\n'
+        ' SG_ page M : 0|8@1+ (1,0) [0|1] "" A\n'
+        ' SG_ plain : 8|8@1+ (0.1,0) [0|0.3] "" A\n'
+        ' SG_ paged m0 : 16|8@1+ (0.1,0) [0|0.3] "" A\n'
+    )
+    wire = fake_can("drive")
+    safe = {"page": 0, "plain": 0.0, "paged": 0.0}
+    tenths = DbcActuator(bus=wire, database=path, message="Tenths", safe=safe)
+
+    async with opened(tenths):
+        told = await tenths.write({"page": 0, "plain": 0.29, "paged": 0.29})
+        await asyncio.sleep(0)
+
+    assert told == {"page": 0, "plain": 0.3, "paged": 0.3}
+    assert wire.sent[-1].data[:3] == bytes([0, 3, 3])
+
+
 async def test_limits_come_from_the_file_and_can_be_narrowed(fake_can: Any) -> None:
     """By [min|max], or else by what the bits can hold; wider is a mistake."""
     wire = fake_can("drive")

@@ -90,9 +90,11 @@ def in_units(
     """Return a command in whole units: the nearest, unless that is beyond a limit."""
     units = round((command - offset) / unit)
     sent = applied(command, units * unit + offset)
-    if limits is not None and sent is not None and not limits[0] <= sent <= limits[1]:
-        units += 1 if (sent < command) is (unit > 0) else -1
-    return units
+    if limits is None or sent is None or limits[0] <= sent <= limits[1]:
+        return units
+    if applied(limits[sent > command], sent) is None:
+        return units  # 3 * 0.1 is above 0.3
+    return units + (1 if (sent < command) is (unit > 0) else -1)
 
 
 def applied(command: float, sent: float) -> float | None:

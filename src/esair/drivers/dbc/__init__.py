@@ -653,9 +653,10 @@ class DbcActuator(Actuator[Any]):
             signal = self.codec.signals[name]
             if not (signal.is_float or isinstance(value, str)):
                 unit, offset = signal.scale, signal.offset
-                units = in_units(value, unit, self._within.get(name), offset)
+                low, high = self._within.get(name) or bounds(signal)
+                units = in_units(value, unit, (low, high), offset)
                 if (sent := applied(value, units * unit + offset)) is not None:
-                    rounded[name] = sent
+                    rounded[name] = min(max(low, sent), high)
         if not rounded:
             return None
         return {**command, **rounded} if self.signal is None else rounded[self.signal]
