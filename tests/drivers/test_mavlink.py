@@ -13,6 +13,7 @@ from tests.drivers.parts import Powered, opened
 
 pytest.importorskip("pymavlink", reason="pip install 'esair[mavlink]'")
 
+import esair
 from esair.buses import SerialBus
 from esair.buses.serial import FakeSerial
 from esair.drivers.mavlink import (
@@ -43,7 +44,7 @@ class OnLine(Powered):
 
 
 class TestSensor(OnLine, SensorContract):
-    keeps_nothing = "it is told nothing"
+    keeps_nothing = "what it is told it is told again"
 
     def make(self) -> MavlinkSensor:
         return MavlinkSensor(message="ATTITUDE", period=0.1, bus=self.line())
@@ -135,6 +136,20 @@ async def test_what_a_vehicle_does_not_know_is_no_reading(
     async with opened(sensor):
         assert await anext(sensor.stream()) == known
         assert sensor.counts() == {"unknown": 1}
+
+
+@pytest.mark.promise("RES-4")
+async def test_how_often_a_message_comes_is_told_again() -> None:
+    """A vehicle that restarts quickly is not missed, and a radio may lose what is said."""
+    line = FakeSerial(framing="mavlink")
+    vehicle = FakeVehicle(line)
+    sensor = MavlinkSensor(message="ATTITUDE", period=0.1, name="yaw", bus=line)
+    async with esair.Robot(resources=[sensor]) as robot:
+        await asyncio.sleep(1.0)
+        asked = vehicle.heard.pop("COMMAND_LONG")
+        await asyncio.sleep(6.0)
+        assert vehicle.heard["COMMAND_LONG"].to_dict() == asked.to_dict()
+        assert robot.resources.query("yaw").losses == 0
 
 
 async def test_a_place_of_nought_is_none() -> None:

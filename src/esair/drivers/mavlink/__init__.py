@@ -85,6 +85,9 @@ BEAT: Final = 1.0
 PATIENCE: Final = 3.5
 """After how many seconds without a heartbeat a vehicle is lost."""
 
+ASK_AGAIN: Final = 5.0
+"""After how many seconds a vehicle is told again how often a message shall come."""
+
 MIDDLE, HALF, IGNORED = 1500, 500, 65535
 """A channel in microseconds: its middle, from there to its end, and one that stays as it is."""
 
@@ -319,8 +322,8 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
             dictionary of its fields, or one of them.
         value: The field that is read of another message, such as ``"voltage_battery"``.
         scale: What that is multiplied with: 0.001 for mV.
-        period: From one to the next, in seconds: the vehicle is told so at each opening.
-            As it likes if None. A reading is current for three of them, or for
+        period: From one to the next, in seconds: the vehicle is told so at each opening,
+            and every 5 s. As it likes if None. A reading is current for three of them, or for
             ``silent_after``.
         silent_after: After how many seconds without one the vehicle is lost.
         system: The number of the vehicle.
@@ -374,6 +377,10 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
 
     async def open(self) -> None:
         """Ask for the message, and wait for the first one."""
+        await self._ask_for_it()
+        await self._first(self.message, self.silent_after)
+
+    async def _ask_for_it(self) -> None:
         if self._every is not None:
             await self.bus.send(
                 self._talk.payload(
@@ -387,7 +394,6 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
                     **{f"param{n}": 0.0 for n in range(3, 8)},
                 )
             )
-        await self._first(self.message, self.silent_after)
 
     async def stream(self) -> AsyncIterator[Any]:
         """Yield each that comes.
@@ -395,8 +401,14 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
         Raises:
             DeviceLostError: None came for too long.
         """
+        loop = asyncio.get_running_loop()
+        again = loop.time() + ASK_AGAIN
         with self.bus.frames() as inbox:
             async for told in self._told(self.message, inbox, self.silent_after):
+                if loop.time() >= again:  # it may have restarted, or not heard it
+                    again = loop.time() + ASK_AGAIN
+                    with room_comes():
+                        await self._ask_for_it()
                 if (value := self._read(told)) is None:
                     self.unknown += 1
                 else:
