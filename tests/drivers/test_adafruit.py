@@ -108,6 +108,32 @@ class TestMpu6050(Unplugged, SensorContract):
         )
 
 
+@pytest.mark.virtual_clock
+@pytest.mark.promise("RES-4")
+async def test_all_that_is_on_a_part_notices_that_it_has_restarted() -> None:
+    """The first one to notice sets it up again, which is what the others look at."""
+    chip = FakeMpu6050(FELT)
+    bus = FakeI2c(chips={0x68: chip})
+    parts = [
+        AdafruitSensor(
+            name=value,
+            library=MPU6050,
+            value=value,
+            set_up={"gyro_range": 2, "sleep": False},
+            bus=bus,
+        )
+        for value in ("acceleration", "gyro")
+    ]
+    async with esair.Robot(resources=parts[:1]) as robot:
+        await asyncio.sleep(0.5)
+        await robot.resources.add(parts[1])
+        await asyncio.sleep(3.2)
+        chip.power_cycle()
+        await asyncio.sleep(3.0)
+        losses = [robot.resources.query(part.name).losses for part in parts]
+        assert losses == [1, 1]
+
+
 @pytest.mark.real_clock
 @pytest.mark.parametrize(
     ("library", "path", "told"),

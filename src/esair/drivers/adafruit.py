@@ -40,6 +40,7 @@ from typing import Any, Required, Self, TypedDict, Unpack
 from esair.buses import I2CBus
 from esair.buses.i2c import SILENT, probe, transfer
 from esair.buses.spi import SpiBus
+from esair.drivers._on_bus import shared
 from esair.drivers.object import Made, MadeActuator, MadeSensor, OnObject
 from esair.exceptions import (
     ConfigError,
@@ -49,10 +50,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.loop import now
-from esair.resources import (
-    ActuatorSettings,
-    SensorSettings,
-)
+from esair.resources import ActuatorSettings, Resource, SensorSettings
 
 __all__ = ["AdafruitActuator", "AdafruitBus", "AdafruitSensor", "AdafruitSpi"]
 
@@ -302,6 +300,7 @@ class _OnPart(OnObject):
             told = "on an SPI bus chip= is needed, and only there; address= is of I²C"
             raise ConfigError(self.name, "chip", told)
         self._chip = chip
+        self._place = address, chip, library
         self.object = Made(
             self,
             library,
@@ -330,6 +329,10 @@ class _OnPart(OnObject):
         else:
             wire = AdafruitBus(bus)
         self._wire = wire
+        for other in self._others():  # what follows hides a restart from them
+            with contextlib.suppress(Exception):
+                if not other.is_set_up():
+                    other.report_lost(_restarted(other))
         try:
             self.object.open(wire, *first)
             for text, (path, _) in self.object.set_up.items():
@@ -348,17 +351,32 @@ class _OnPart(OnObject):
             if silent or _is_silence(error) or not self.bus.is_open:
                 raise DeviceLostError(self.name, describe(error)) from error
             raise
+        self._on_part().append(self)
 
     def close(self) -> None:
         """Forget the driver's object; the wire is the robot's, and stays open."""
         self.object.it = None
+        if self in self._on_part():
+            self._on_part().remove(self)
 
     def is_set_up(self) -> bool:
-        """Tell whether all of ``set_up`` is as it was after the opening."""
-        return all(
+        """Tell whether all of ``set_up`` is as it was after the opening.
+
+        If not, all that is on the part hears of it: who is opened first sets it up again.
+        """
+        is_so = all(
             self.object.get(path) == self._kept[text]
             for text, (path, _) in self.object.set_up.items()
         )
+        for other in () if is_so else self._others():
+            other.report_lost(_restarted(other))
+        return is_so
+
+    def _on_part(self) -> _Part:
+        return shared(self.bus, _Part).setdefault(self._place, _Part())
+
+    def _others(self) -> list[_OnPart]:
+        return [each for each in self._on_part() if each is not self]
 
     @contextlib.contextmanager
     def _alone(self) -> Iterator[None]:
@@ -439,6 +457,14 @@ class AdafruitActuator(_OnPart, MadeActuator):
         where = "" if address is None else f" at {address:#04x}"
         where += "" if self._chip is None else f" at {self._chip}"
         self.claim: str = f"{attribute} of {settings['library']}{where}"
+
+
+class _Part(list[_OnPart]):
+    """All that is on one part, and open."""
+
+
+def _restarted(part: Resource) -> DeviceLostError:
+    return DeviceLostError(part.name, "its part has restarted")
 
 
 def _is_silence(error: Exception) -> bool:
