@@ -19,7 +19,7 @@ import esair
 from esair.drivers import gps
 from esair.drivers.gps import PARSE_COST, Fix, FixBuilder, Gps
 from esair.drivers.gps.fake import FakeGps, encode_fix
-from esair.exceptions import DeviceFaultError, StaleReadingError
+from esair.exceptions import DeviceLostError, StaleReadingError
 from esair.framing import Sentences
 from esair.testing import FakeSerial, SensorContract
 
@@ -263,13 +263,13 @@ async def test_indoors_there_is_no_fresh_reading(fake_serial: Any) -> None:
 
 
 @pytest.mark.fault("D14")
-async def test_a_silent_line_is_a_fault_at_the_opening(fake_serial: Any) -> None:
+async def test_a_silent_line_is_a_loss_at_the_opening(fake_serial: Any) -> None:
     """The error says what to look at."""
     line = fake_serial("gps", framing="nmea")
     gps = Gps(bus=line)
     await line.open()
 
-    with pytest.raises(DeviceFaultError, match="check the baud rate"):
+    with pytest.raises(DeviceLostError, match="check the baud rate"):
         await gps.open()
 
     await line.close()

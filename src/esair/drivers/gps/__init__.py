@@ -20,7 +20,6 @@ receivers talk at 9600 bits per second, once a second::
 from __future__ import annotations
 
 import datetime
-import errno
 import math
 from collections.abc import AsyncIterator, Sequence
 from typing import Any, Unpack
@@ -29,7 +28,7 @@ import attrs
 
 from esair.buses import SerialBus
 from esair.drivers._on_bus import check_bus, heard
-from esair.exceptions import ConfigError, DeviceFaultError
+from esair.exceptions import ConfigError
 from esair.framing import Looks, Sentences
 from esair.loading import of_extra
 from esair.resources import Sensor, SensorSettings
@@ -279,18 +278,11 @@ class Gps(Sensor[Fix]):
         """Wait until it says anything: then the port and the baud rate are right.
 
         Raises:
-            DeviceFaultError: It is silent, or nothing but noise comes.
+            DeviceLostError: It is silent, or nothing but noise comes.
         """
+        what = "check the baud rate: no sentence came"
         with self.bus.frames() as sentences:
-            try:
-                await sentences.take(timeout=self.deadline)
-            except TimeoutError:
-                fault = DeviceFaultError(
-                    self.name,
-                    f"no sentence in {self.deadline:g} s: check the baud rate",
-                )
-                fault.errno = errno.ETIMEDOUT  # silence: it is waited for
-                raise fault from None
+            await anext(heard(self, sentences, self.deadline, what=what))
 
     async def stream(self) -> AsyncIterator[Fix]:
         """Yield each fix as soon as it is whole.
