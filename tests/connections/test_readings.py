@@ -168,6 +168,34 @@ async def test_a_device_that_pushes_may_say_how_long_it_is_silent(user_of: Any) 
         assert await user.bumper.read() == 2.0
 
 
+@pytest.mark.promise("SC-1")
+async def test_what_is_pushed_while_it_is_asked_is_newer(user_of: Any) -> None:
+    """The answer was measured before: it is no reading, and a fresh one is the pushed."""
+
+    class Bumper(esair.Sensor[bool]):
+        rate = 10.0
+        is_pressed = False
+
+        async def read(self) -> bool:
+            was = self.is_pressed
+            await asyncio.sleep(0.02)
+            return was
+
+        async def stream(self) -> Any:
+            await asyncio.sleep(1.01)  # amid a question
+            self.is_pressed = True
+            yield True
+            await asyncio.sleep(1000.0)
+
+    bumper, user = Bumper(), user_of("user", bumper=esair.reads(bool))
+    async with esair.Robot(resources=[bumper], behaviors=[user]):
+        await asyncio.sleep(1.0)
+        fresh = asyncio.ensure_future(user.bumper.read(fresh=True))
+        await asyncio.sleep(0.5)
+        assert await fresh is True
+        assert [each.value for each in user.bumper.history(2)] == [True]
+
+
 @pytest.mark.promise("SC-4")
 @pytest.mark.parametrize("with_age", [False, True])
 async def test_the_age_of_a_reading_counts_from_its_measurement(

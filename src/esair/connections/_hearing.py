@@ -57,8 +57,9 @@ class Asking:
     _deadline: float = 0.0
     _awaiting: list[Callable[[], None]] = attrs.field(factory=list)
     _begun: float = 0.0
-    _old_before: float = 0.0
-    """A question from before this moment gives an answer from before it."""
+    old_before: float = 0.0
+    """A question from before this moment gives an answer from before it; what the device
+    has pushed since is newer."""
     _poll: Job | None = None
     _polled_in: int = 0
     _soon: asyncio.Handle | Deadline | None = None
@@ -95,7 +96,7 @@ class Asking:
 
     def forget(self) -> None:
         """Take no answer to what has been asked until now."""
-        self._old_before = self._device.time()
+        self.old_before = self._device.time()
 
     # In time.
 
@@ -197,7 +198,7 @@ class Asking:
             self.latency = max(spent, 0.75 * self.latency)
         if end.error is not None:
             self._device.fail(end.error, self.transactions)
-        elif call.begun >= self._old_before:  # else who waits has it asked again
+        elif call.begun >= self.old_before:  # else who waits has it asked again
             self._device.publish(end.value, self.transactions)
         if polled:
             self.answered()
@@ -393,12 +394,15 @@ class Listening:
         calls: Calls | None = None,
     ) -> None:
         """Let what the device has pushed, or the error of its stream, take effect."""
-        if opening != (calls or self._device.calls).opening:
-            self._device.calls.late += 1
+        device = self._device
+        if opening != (calls or device.calls).opening:
+            device.calls.late += 1
             return
         if isinstance(self._door.tape, TapeWriter):
             self._door.tape.arrived(self._tag, (value, error, opening))
         if error is None:
-            self._device.publish(value, math.inf)
+            device.publish(value, math.inf)
+            if device.asking.rate and device.newest is not None:
+                device.asking.old_before = device.newest.time
         else:
-            self._device.fail(error)
+            device.fail(error)
