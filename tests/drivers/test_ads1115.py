@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.drivers.parts import OnChip
 
+import esair
 from esair.drivers.ads1115 import (
     CHANNELS,
     DATA_RATES,
@@ -20,7 +21,7 @@ from esair.drivers.ads1115 import (
 )
 from esair.drivers.ads1115.fake import FakeAds1115
 from esair.exceptions import DeviceFaultError
-from esair.testing import FakeI2c, SensorContract
+from esair.testing import FakeI2c, SensorContract, VirtualLoop
 
 
 @pytest.mark.parametrize(
@@ -70,6 +71,25 @@ class TestAds1115(OnChip, SensorContract):
         return Ads1115(channel=2, bus=FakeI2c(chips={0x48: FakeAds1115(0, 0, 1.5)}))
 
     keeps_nothing = "each conversion says all that the chip needs"
+
+
+@pytest.mark.promise("ROB-5")
+def test_one_robot_after_another_has_the_chip() -> None:
+    """Each in a loop of its own; who waits for the other's turn belongs to one of them."""
+    bus = FakeI2c(chips={0x48: FakeAds1115(0.5, 1.25)})
+    sensors = [Ads1115(name=f"input_{n}", channel=n, bus=bus) for n in range(2)]
+    reads = {each.name: esair.reads(float) for each in sensors}
+
+    async def live() -> None:
+        user: Any = esair.Behavior(name="user", reads=reads)
+        async with esair.Robot(resources=sensors, behaviors=[user]):
+            ports = user.input_0, user.input_1
+            volts = await asyncio.gather(*(each.read(fresh=True) for each in ports))
+            assert volts == pytest.approx([0.5, 1.25], abs=1e-3)
+
+    for _ in range(2):
+        with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+            runner.run(live())
 
 
 async def sensors_on(chip: FakeAds1115, *channels: int | str, **settings: Any) -> Any:

@@ -121,8 +121,14 @@ class Ads1115(OnChip, Sensor[float]):
     async def open(self) -> None:
         """Find out whether the chip answers; it needs nothing else."""
         await self._set_up(**self.settings)
+        chip = self._chip()
+        if not chip.turn.locked():
+            chip.turn = asyncio.Lock()  # that from before may be of another loop
         with self._expected():
             await self.bus.read(self.address, CONFIG, 2)
+
+    def _chip(self) -> Chip:
+        return shared(self.bus, Chip).setdefault(self.address, Chip())
 
     async def _set_up(self, *, full_scale: float, data_rate: int, **_: Any) -> None:
         """Use these settings from the next conversion on."""
@@ -130,7 +136,7 @@ class Ads1115(OnChip, Sensor[float]):
 
     async def read(self) -> float:
         """Convert once and wait for it."""
-        chip = shared(self.bus, Chip).setdefault(self.address, Chip())
+        chip = self._chip()
         async with chip.turn:  # or another sensor would change what is converted
             if chip.under_way is not None:
                 # Whoever began it was cancelled. Until its end the chip begins no other,

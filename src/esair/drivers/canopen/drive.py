@@ -399,6 +399,7 @@ class DriveActuator(OnDrive):
         """Find the node, set it up, and clear a fault; it is not enabled by that."""
         self._is_on = self._is_stopping = False
         self._emergency = None
+        self._news = asyncio.Event()  # that from before may be of another loop
         self.state = None
         await super().open()
         self.state = await self._call(self._reset, self._remote)

@@ -403,6 +403,7 @@ class IsoTp(SharedTask):
         if not self.begin(user, lambda: self._hear(bus, inbox)):
             inbox.close()
             return
+        self._lock = asyncio.Lock()  # that from before may be of another loop
         self._heard.clear()
         self._cut.clear()
         self._layer = isotp.TransportLayerLogic(
