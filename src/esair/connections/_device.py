@@ -225,7 +225,7 @@ class Operations:
                 f"{OPERATE} {this.name}",
                 method,
                 (),
-                max(0.001, this.until - device.time()),
+                this.until - device.time(),
                 partial(self._may_begin, this.registration),
             )
         except Exception as error:

@@ -54,9 +54,9 @@ class Asking:
     _device: SensorChannel
     _scheduler: Scheduler = attrs.field(init=False)
     _read: Method = attrs.field(init=False)
-    _deadline: float = 0.0
+    _deadline: float = attrs.field(init=False)
     _awaiting: list[Callable[[], None]] = attrs.field(factory=list)
-    _begun: float = 0.0
+    _begun: float = attrs.field(init=False)
     old_before: float = 0.0
     """A question from before this moment gives an answer from before it; what the device
     has pushed since is newer."""

@@ -604,7 +604,6 @@ class BehaviorDeployment:
         await self.commands.close()
         if self.turns.round is not None:
             self.turns.round.cancel()
-            self.turns.round = None
         self.mediator.close()
         # What the user is taking away goes its own way.
         leaving = set(self.ending)

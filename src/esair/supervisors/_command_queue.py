@@ -66,8 +66,6 @@ class CommandQueue:
                 interrupt; any other ends there by a `StoppingError`.
         """
         await Budget.spend(VERB_COST)
-        if self._phase is SupervisorPhase.STOPPED:
-            raise self._stopping()
         if self._asleep:
             raise StoppingError(self.name, "not started yet: enter the robot first")
         if self._waiting >= LIMIT:
@@ -148,8 +146,7 @@ class CommandQueue:
             return
         self._phase = SupervisorPhase.STOPPED
         self._begins.set()
-        if self._work is not None:
-            self._end_turn_of(self._work)  # whoever waits hears of it at once
+        self._end_turn_of(self._work)  # whoever waits hears of it at once
         for task in set(self._undoes) - self._lasting:
             task.cancel()
 

@@ -453,7 +453,6 @@ class Member:
             self._timer = None
 
     def _restart(self) -> None:
-        self._timer = None
         self.life.tell(Kind.RESTARTED, self.mail.error)
         self.try_to_start()
 
