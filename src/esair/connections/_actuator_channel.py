@@ -485,13 +485,9 @@ class ActuatorChannel(Device):
                 wire.told.error = ""
             wire.took(call.args[0], end.value)
         elif isinstance(end.error, CallRefused):
-            right = call.owner
+            right = call.owner if isinstance(call.owner, Registration) else None
             # It was told as sent; who waits for it takes that back, or has gone.
-            if not isinstance(right, Registration):  # less of what stands, by a guard
-                told = "it was made safe before the turn of this command came"
-                now = self.time()
-                self.refuse(None, Refused("", 0, told, now, now))
-            elif call.cancelled:
+            if right is None or call.cancelled:  # None: less of what stands, by a guard
                 self.refuse(right, self._overtaken(right))
         elif call.cancelled:
             wire.unknown()
@@ -527,7 +523,7 @@ class ActuatorChannel(Device):
             raise refused from None
         return self.refuse(right, refused)
 
-    def _overtaken(self, right: Registration) -> Refused:
+    def _overtaken(self, right: Registration | None) -> Refused:
         """Answer a write that the safe command came before, in the driver's lane."""
         holds = self.gate.holds
         stops = holds[0] if holds else self.guards.stopping
@@ -537,10 +533,11 @@ class ActuatorChannel(Device):
             right, "it was made safe, or this expired, before its turn came"
         )
 
-    def _too_late(self, right: Registration, told: str) -> Refused:
+    def _too_late(self, right: Registration | None, told: str) -> Refused:
         """Answer a write whose turn did not come in time, for which nobody is to blame."""
         now = self.time()
-        return Refused(right.behavior, right.priority, told, now, now)
+        who = ("", 0) if right is None else (right.behavior, right.priority)
+        return Refused(*who, told, now, now)
 
     def _applied(
         self,
