@@ -7,6 +7,7 @@ import pytest
 
 import esair
 from esair.exceptions import BadValueError
+from esair.journal import Event, Kind
 from esair.plan import examine
 
 pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("PRO-12")]
@@ -146,3 +147,36 @@ async def test_a_guard_of_places_is_not_asked_about_it(fake_sensor: Any) -> None
         assert await mover.arm.write(esair.HOLD)
         assert await mover.arm.write(1.0)
         assert robot.behaviors.query("low").restarts == 0
+
+
+@pytest.mark.promise("AC-2")
+async def test_one_that_fails_has_not_ended_the_motion() -> None:
+    """Nobody writes any more, so it is told to stay once more, and moves until then."""
+
+    class Slips(esair.Actuator[float]):
+        safe = esair.HOLD
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.told: list[object] = []
+
+        async def write(self, command: float) -> None:
+            self.told.append(command)
+            if self.told == [esair.HOLD, 1.0, esair.HOLD]:
+                raise OSError("slipped")
+
+    arm = Slips()
+    user: Any = esair.Behavior(
+        name="user", writes={"arm": esair.writes(float, name="slips")}
+    )
+    robot = esair.Robot(resources=[arm], behaviors=[user])
+    events: list[Event] = []
+    robot.journal.listen(events.append)
+    async with robot:
+        await user.arm.write(1.0)
+        with pytest.raises(esair.DeviceFaultError, match="slipped"):
+            await user.arm.write(esair.HOLD)
+        await asyncio.sleep(1.0)
+        assert arm.told == [esair.HOLD, 1.0, esair.HOLD, esair.HOLD]
+    unanswered = [each.value for each in events if each.kind is Kind.UNANSWERED]
+    assert unanswered == [1.0]

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 import esair
+from esair.testing import FakeActuator
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -130,3 +131,32 @@ async def test_safe_is_last_or_it_is_told_that_it_may_not_be(
     """Losses, returns, halts and replacements amid late calls, and a stop amid it."""
     stories = 500 if request.config.getoption("--esair-long") else 25
     assert [wrong for seed in range(stories) for wrong in await story(seed)] == []
+
+
+@pytest.mark.promise("CALL-1", "CALL-3", "RES-4")
+async def test_no_command_goes_beside_a_question_that_does_not_end() -> None:
+    """A device that is asked for its set-up, and answers too late, is busy until then."""
+
+    class Deaf(FakeActuator[float]):
+        set_up_period = 0.5
+        deadline = 0.1
+        asks = False
+
+        async def is_set_up(self) -> bool:
+            self.asks = True
+            until = esair.now() + 0.6
+            while (left := until - esair.now()) > 0:
+                with contextlib.suppress(asyncio.CancelledError):
+                    await asyncio.sleep(left)
+            self.asks = False
+            return True
+
+    arm = Deaf("arm", safe=0.0)
+    user: Any = esair.Behavior(name="user", writes={"arm": esair.writes(float)})
+    async with esair.Robot(resources=[arm], behaviors=[user]):
+        await asyncio.sleep(0.65)
+        assert arm.asks
+        with pytest.raises(esair.DeviceLostError, match=r"is_set_up.* does not end"):
+            await user.arm.write(1.0)
+        await asyncio.sleep(2.0)
+    assert 1.0 not in arm.commands

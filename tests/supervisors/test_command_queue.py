@@ -268,3 +268,16 @@ async def test_what_lasts_has_until_its_deadline(seconds: float) -> None:
         assert await task == 1
     assert (("end", 1) in log) == (seconds < 1.0)
     assert queue.left(began + 1.0) == []
+
+
+@pytest.mark.promise("SUP-1")
+async def test_whoever_waits_behind_what_lasts_hears_of_the_end_at_once() -> None:
+    """It is not kept waiting until that is over."""
+    queue, log = opened(), list[Any]()
+    lasts = await begin(queue, log, 1, lasts=True)
+    waits = await begin(queue, log, 2)
+    queue.refuse()
+    async with asyncio.timeout(0.1):
+        with pytest.raises(esair.StoppingError):
+            await waits
+    assert await lasts == 1

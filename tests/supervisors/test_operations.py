@@ -570,8 +570,10 @@ async def test_an_operation_has_a_deadline_and_the_others_their_turn() -> None:
     lift = Lift()
     async with made(lift) as robot:
         mine = await right(robot)
+        await asyncio.sleep(5.0)
         with pytest.raises(esair.DriverStuckError, match=r"operate home.*2 s"):
             await robot.resources.operate(mine, "home", seconds=60.0)
+        assert asyncio.get_running_loop().time() == pytest.approx(7.0)
         await asyncio.sleep(0.05)
         assert lift.did[-2:] == ["home ended", 0.0]
         assert await robot.actuators.write(mine, 0.5)
@@ -878,3 +880,18 @@ async def test_what_is_about_to_go_begins_with_nothing() -> None:
             await user.lift.operate("home")
         await replacing
         assert lift.did == [0.0, 0.5, 0.0]
+
+
+@pytest.mark.promise("SUP-5")
+async def test_those_that_wait_hear_at_once_that_the_device_was_replaced() -> None:
+    """All of them, not the first alone."""
+    async with made(Lift()) as robot:
+        mine = await right(robot)
+        work = [robot.resources.operate(mine, "home") for _ in range(4)]
+        waiting = [asyncio.ensure_future(each) for each in work]
+        await asyncio.sleep(0.1)
+        await robot.resources.replace("lift", Lift())
+        async with asyncio.timeout(0.1):
+            told = await asyncio.gather(*waiting, return_exceptions=True)
+
+    assert [type(each) for each in told[2:]] == [esair.DeviceLostError] * 2

@@ -12,6 +12,7 @@ import pytest
 from tests.supervisors.actors import Idle, State
 
 import esair
+from esair.testing import FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -199,3 +200,27 @@ async def test_the_tasks_of_a_behavior_end_with_its_run() -> None:
         await asyncio.sleep(0.2)
         state = robot.behaviors.query("parent").state
         assert (state, ended) == (esair.BehaviorState.FINISHED, [True])
+
+
+@pytest.mark.promise("RS-3", "SUP-3")
+async def test_a_sensor_is_asked_no_more_for_one_that_was_removed() -> None:
+    """Also if that does not end in the middle of its loop over the readings."""
+
+    class Deaf(esair.Behavior):
+        sonar = esair.reads(float)
+
+        async def run(self) -> None:
+            async for _ in self.sonar:
+                until = esair.now() + 10.0
+                while (left := until - esair.now()) > 0:
+                    with contextlib.suppress(asyncio.CancelledError):
+                        await asyncio.sleep(left)
+
+    sonar = FakeSensor("sonar", 1.0, rate=20.0)
+    async with esair.Robot(resources=[sonar], behaviors=[Deaf()]) as robot:
+        await asyncio.sleep(1.0)
+        await robot.behaviors.remove("deaf")
+        asked = sonar.reads
+        assert asked > 10
+        await asyncio.sleep(1.0)
+        assert sonar.reads == asked

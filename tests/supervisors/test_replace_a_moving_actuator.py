@@ -170,3 +170,17 @@ async def test_what_nothing_took_the_place_of_is_lost(
             await robot.resources.replace("motor", Slow())
         with pytest.raises(esair.DeviceLostError, match="nothing took its place"):
             await user.motor.write(0.5)
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("SUP-2")
+async def test_a_replacement_was_tried_when_the_command_returns() -> None:
+    """Who has replaced a device may use the new one then."""
+
+    class Late(Slow):
+        async def open(self) -> None:
+            await asyncio.sleep(0.5)
+
+    async with esair.Robot(resources=[Slow()]) as robot:
+        await robot.resources.replace("motor", Late())
+        assert robot.resources.query("motor").state is esair.ResourceState.READY

@@ -318,3 +318,21 @@ async def test_a_right_of_a_run_that_has_ended_names_its_resource() -> None:
         await robot.behaviors.restart("driver")
         with pytest.raises(esair.NotRegisteredError, match="uses 'wheels'"):
             raise port.registration.reason()
+
+
+@pytest.mark.promise("RES-3", "SUP-4")
+async def test_silence_that_a_task_of_its_own_meets_is_silence() -> None:
+    """It comes in a group of errors then."""
+
+    class Group(Watch):
+        async def run(self) -> None:
+            async with asyncio.TaskGroup() as group:
+                group.create_task(super().run())
+
+    device, sonar = wheels(), pushing()
+    async with esair.Robot(resources=[device, sonar], behaviors=[Group()]) as robot:
+        sonar.feed(1.0)
+        await device.until(1.0)
+        await asyncio.sleep(0.7)
+        status = robot.behaviors.query("group")
+        assert (status.state, status.detail) == (State.PARKED, "sonar is silent")

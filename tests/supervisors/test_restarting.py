@@ -475,3 +475,22 @@ async def test_a_start_does_not_wait_for_what_has_failed() -> None:
     async with esair.Robot(behaviors=[broken, Idle(name="other")]) as robot:
         assert asyncio.get_running_loop().time() - began < 0.1
         assert robot.behaviors.query("broken").state is State.RESTARTING
+
+
+@pytest.mark.promise("SUP-4", "TURN-5")
+async def test_a_restart_is_told_with_what_it_is_for() -> None:
+    """In its order: the crash, the restart, the new run."""
+    restart = esair.Restart(max=1, within=30.0)
+    behavior = Scripted(raises(RuntimeError("always")), name="a", restart=restart)
+    robot = esair.Robot(behaviors=[behavior])
+    told: list[tuple[str, str]] = []
+    robot.journal.listen(lambda event: told.append((event.kind.name, str(event.value))))
+    async with robot:
+        await asyncio.sleep(1.0)
+
+    wanted = {"CRASHED", "RESTARTED"}
+    assert [each for each in told if each[0] in wanted] == [
+        ("CRASHED", "always"),
+        ("RESTARTED", "always"),
+        ("CRASHED", "always"),
+    ]

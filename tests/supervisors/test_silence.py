@@ -315,11 +315,13 @@ async def test_a_device_is_silent_that_says_nothing_after_a_question(
     sonar = FakeSensor("sonar", 1.0, type=float, rate=1.0)
     user: Any = esair.Behavior(name="user", reads={"sonar": esair.reads(float)})
     async with esair.Robot(resources=[sonar], behaviors=[user]):
+        await asyncio.sleep(1.0)
         await user.sonar.read(fresh=True)
         await asyncio.sleep(ago)
         sonar.stall()
-        with pytest.raises(esair.StaleReadingError, match="did not answer in"):
+        with pytest.raises(esair.StaleReadingError, match="did not answer in") as told:
             await user.sonar.read(fresh=True, timeout=0.5)
+        assert told.value.age == pytest.approx(ago + 0.5)
 
 
 async def test_a_device_that_answers_with_what_is_old_is_not_silent() -> None:
@@ -360,3 +362,18 @@ async def test_an_old_silence_is_no_excuse(fake_sensor: Any) -> None:
     async with esair.Robot(resources=[sonar], behaviors=[Slow(), Other()]) as robot:
         await asyncio.sleep(3.1)
         assert robot.behaviors.query("slow").state is esair.BehaviorState.RESTARTING
+
+
+@pytest.mark.promise("BUS-5")
+async def test_calls_that_got_no_turn_are_counted_and_are_no_fault() -> None:
+    """Nobody has asked the device."""
+    part = Part(rate=20.0)
+    user: Any = esair.Behavior(name="user", reads={"part": esair.reads(float)})
+    async with esair.Robot(resources=[part], behaviors=[user]) as robot:
+        part.error = esair.NoTurnError("part", "read", 0.5)
+        for _ in range(4):
+            with pytest.raises(esair.NoTurnError):
+                await user.part.read(fresh=True)
+        status = robot.resources.query("part")
+        assert (status.state, status.faults) == (ResourceState.READY, 0)
+        assert robot.journal.counts()["part"]["no_turns"] == 4
