@@ -168,11 +168,15 @@ class Child(Exchange):
 
     def _is_still(self) -> bool:
         """Tell whether each of its tasks waits for the end of a call."""
-        ends = [getattr(each, "_fut_waiter", None) for each in self.owner.living()]
-        waits = sum(isinstance(each, Outcome) for each in ends)
+        waits = others = 0
+        for each in self.owner.living():
+            if isinstance(getattr(each, "_fut_waiter", None), Outcome):
+                waits += 1
+            else:
+                others += 1
         # A task that carries threads does nothing but wait for them.
         threads = len(self.owner.threads)
-        return len(ends) - waits <= (1 if threads and waits >= threads else 0)
+        return others <= (1 if threads and waits >= threads else 0)
 
     def tick(self) -> None:
         self._wire.send(Op.TICK, NEVER)

@@ -253,33 +253,32 @@ class RemotePort:
 
     async def _values(self) -> AsyncGenerator[Any, None]:
         child = self._child
-        with _of(self.resource):
-            number, value = await child.call("values", self._key)
         try:
-            while True:
-                yield value
-                with _of(self.resource):
+            number, value = await child.call("values", self._key)
+            try:
+                while True:
+                    yield value
                     value = await child.call("next", number)
-        finally:
-            child.note("left", number)
+            finally:
+                child.note("left", number)
+        except BadValueError as error:
+            raise _of(self.resource, error) from None
 
 
-@contextlib.contextmanager
-def _of(resource: str) -> Iterator[None]:
+def _of(resource: str, error: BadValueError) -> BadValueError:
     """Let an error that an answer does not fit say whose answer it is."""
-    try:
-        yield
-    except BadValueError as error:
-        if error.field != "answer":
-            raise
-        told = str(error).partition(" answer: ")[2]
-        raise BadValueError(error.component, resource, told) from None
+    if error.field != "answer":
+        return error
+    told = str(error).partition(" answer: ")[2]
+    return BadValueError(error.component, resource, told)
 
 
 def _awaited(name: str) -> Any:
     async def call(self: RemotePort, *args: Any, **options: Any) -> Any:
-        with _of(self.resource):
+        try:
             return await self._child.call(f"{name} {self._key}", *args, **options)
+        except BadValueError as error:
+            raise _of(self.resource, error) from None
 
     return call
 

@@ -137,7 +137,7 @@ class Process(Exchange):
         self._hangs_at = NEVER
         """When what works since is a hang; a reply to what it waits for is no new time."""
         self._hangs_really_at = NEVER
-        """The same by a clock that goes on while it works, for one that does not."""
+        """The same on the computer's clock, where time does not pass while it works."""
         self._hang = Deadlines.beside(loop).idle(self._hung)
         ends = nursery.child()
         self._wire = Wire(ends.wire)
@@ -197,7 +197,8 @@ class Process(Exchange):
         """Send something as soon as it is the child's turn to hear."""
         if self.error is None:
             self.queue.append(item)
-            self._send()
+            if self._idle:
+                self._send()
 
     def begin(
         self,
@@ -268,7 +269,9 @@ class Process(Exchange):
         if self._wanted is not None and self._wanted - now < 1e-6:
             now = max(now, self._wanted)  # a timer may ring a hair early
         if self._hangs_at == NEVER:
-            self._may_work_from(self.sent)
+            self._hangs_at = self.sent + (self._stall if self.pid else START)
+            if self._hang.when == NEVER:
+                self._hang.start(self._hangs_at)
         if self.error is not None:  # it has died meanwhile
             self._end_work()
             return
@@ -343,7 +346,7 @@ class Process(Exchange):
         if self.error is not None:
             return
         if kind != Op.SYNC:  # else its loop does not go on: it may ask for ever
-            self._hangs_at = NEVER
+            self._hangs_at = self._hangs_really_at = NEVER
         self.is_still = kind == Op.STILL
         for item, value, error in items:
             op, number = item.op, item.number
@@ -397,23 +400,21 @@ class Process(Exchange):
             self.pid = int(rest)
             (self._pidfd,) = files or [-1]  # there may be no room for one more
             if self._work:  # its time begins when it is there
-                self._hang.cancel()
-                self._may_work_from(self._time())
+                self._hangs_at = self._time() + self._stall
+                self._hangs_really_at = NEVER
+                self._hang.start(self._hangs_at)
             return
         self._readable()  # what it has done before
         code = int(rest) if what == b"over" else None
         how = told_end(code) if what != b"failed" else f"did not start: {rest.decode()}"
         self._gone(how, code)
 
-    def _may_work_from(self, now: float) -> None:
-        lasts = self._stall if self.pid else START
-        self._hangs_at, self._hangs_really_at = now + lasts, time.monotonic() + lasts
-        if self._hang.when == NEVER:
-            self._hang.start(self._hangs_at)
-
     def _look(self) -> None:
         """Kill it if it hangs, where time does not pass before it has answered."""
-        if time.monotonic() > self._hangs_really_at:
+        now = time.monotonic()
+        if self._hangs_really_at == NEVER:
+            self._hangs_really_at = now + (self._stall if self.pid else START)
+        elif now > self._hangs_really_at:
             self._signal(signal.SIGUSR1)
             time.sleep(STACK)
             self.condemn(f"hung for {self._stall:g} s")
@@ -481,7 +482,7 @@ class Process(Exchange):
 
     def go_on(self) -> None:
         """Let it go on where it was stopped."""
-        self._hangs_really_at = time.monotonic() + self._stall
+        self._hangs_really_at = NEVER
         self._door.go_on(self._lane)  # type: ignore[arg-type]
         self._signal(signal.SIGCONT)
 
