@@ -29,6 +29,7 @@ from tests.placement.parts import (
     Twist,
     Unsendable,
 )
+from tests.placement.pitfalls import Begins
 from tests.placement.test_life import STOP, fake_wheels, lives, place, until
 
 import esair
@@ -50,13 +51,15 @@ def children_of(pid: int) -> list[int]:
     found: list[int] = []
     for each in Path("/proc").iterdir():
         if each.name.isdigit():
-            try:
-                parent = int((each / "stat").read_text().rpartition(")")[2].split()[1])
-            except OSError:
-                continue
-            if parent == pid:
-                found += [int(each.name), *children_of(int(each.name))]
+            with contextlib.suppress(OSError):
+                if parent_of(int(each.name)) == pid:
+                    found += [int(each.name), *children_of(int(each.name))]
     return found
+
+
+def parent_of(pid: int) -> int:
+    told = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2]
+    return int(told.split()[1])
 
 
 @pytest.mark.promise("PLC-4")
@@ -247,12 +250,14 @@ async def test_robots_that_begin_at_once_all_begin() -> None:
 @pytest.mark.promise("PLC-4")
 async def test_the_process_that_makes_children_is_replaced() -> None:
     """Killed, it takes its children along: they are failures, and come back."""
-    wheels = fake_wheels()
-    async with esair.Robot(resources=[wheels], behaviors=[Drive()]) as robot:
+    wheels, begins = fake_wheels(), Begins()
+    place(begins, "process")
+    async with esair.Robot(resources=[wheels], behaviors=[Drive(), begins]) as robot:
         await wheels.until(Twist(0.3, 0.0), timeout=10.0)
-        drive = robot.behaviors.query("drive").pid
-        (server,) = (pid for pid in children_of(os.getpid()) if pid != drive)
+        pids = await robot.behaviors.get(sender="begins", receiver="user")
+        server = parent_of(parent_of(pids[0]))
         os.kill(server, signal.SIGKILL)
+        await until(lambda: not any(map(lives, pids)))
         await until(lambda: robot.behaviors.query("drive").restarts >= 1)
         await until(lambda: STOP in wheels.commands)
         before = len(wheels.commands)

@@ -302,7 +302,7 @@ class Server:
     def _reap(self, pidfd: int) -> None:
         self._poll.unregister(pidfd)
         pid, status = self._children.pop(pidfd)
-        _end_group(pid)  # while it is there no other process has its number
+        end_group(pid)  # while it is there no other process has its number
         _, code = os.waitpid(pid, 0)
         self._left.pop(pidfd, None)
         with contextlib.suppress(OSError):
@@ -315,13 +315,13 @@ class Server:
     def _end(self) -> NoReturn:
         for pidfd, child in self._children.items():
             _kill(pidfd)
-            _end_group(child.pid)
+            end_group(child.pid)
         for child in self._children.values():
             os.waitpid(child.pid, 0)
         os._exit(0)
 
 
-def _end_group(pid: int) -> None:
+def end_group(pid: int) -> None:
     """End what a child has started, if that is still of its group."""
     with contextlib.suppress(OSError):
         os.killpg(pid, signal.SIGKILL)

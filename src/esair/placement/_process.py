@@ -45,7 +45,7 @@ from esair.loop import (
     turn_of,
 )
 from esair.messages import Placement
-from esair.placement._nursery import Nursery, told_end
+from esair.placement._nursery import Nursery, end_group, told_end
 from esair.placement._wire import RECORD, End, Exchange, Item, Op, Wire
 
 STACK: Final = 0.05
@@ -406,6 +406,8 @@ class Process(Exchange):
             return
         self._readable()  # what it has done before
         code = int(rest) if what == b"over" else None
+        if code is None and self.pid is not None:
+            end_group(self.pid)  # who would have done so is gone
         how = told_end(code) if what != b"failed" else f"did not start: {rest.decode()}"
         self._gone(how, code)
 
