@@ -166,6 +166,16 @@ def test_a_robot_without_an_output_has_processes(closed: str, tmp_path: Path) ->
     assert (tmp_path / "told").read_text() == "drive: all well"
 
 
+@pytest.mark.promise("PLC-1")
+def test_what_python_passes_over_in_its_path_is_no_matter(tmp_path: Path) -> None:
+    """Many a script adds its folder as a `Path`, and finds what is there all the same."""
+    adds = "import pathlib, sys\nsys.path.append(pathlib.Path(__file__).parent)\n"
+    (tmp_path / "script.py").write_text(adds + TELLS)
+    program = [sys.executable, "script.py"]
+    subprocess.run(program, cwd=tmp_path, timeout=60, check=False)
+    assert (tmp_path / "told").read_text() == "drive: all well"
+
+
 CROWD = """
 import asyncio
 import resource

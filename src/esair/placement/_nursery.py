@@ -71,7 +71,7 @@ class Nursery:
                 start_new_session=True,  # Ctrl-C is the robot's
                 env={
                     **os.environ,
-                    "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+                    "PYTHONPATH": os.pathsep.join(filter(None, import_path())),
                 },
             )
         except BaseException:
@@ -148,6 +148,11 @@ class Nursery:
                 socket.send_fds(self._control, [b"c"], given)
             failed.pop_all()
             return Ends(wire, words, status)
+
+
+def import_path() -> list[str]:
+    """Return where modules are found; Python passes over a `Path` that somebody added."""
+    return [each for each in sys.path if isinstance(each, str)]
 
 
 def _flags() -> list[str]:

@@ -29,7 +29,7 @@ from esair.loop import (
     turn_of,
 )
 from esair.messages import Placement, placement_of
-from esair.placement._nursery import Nursery
+from esair.placement._nursery import Nursery, import_path
 from esair.placement._process import Process
 from esair.placement._verbs import Asked, BehaviorVerbs, StepSeat, Verbs, verbs_of
 from esair.placement._wire import ALWAYS, CALLS, End, Item, packed
@@ -169,7 +169,7 @@ class Seat:
         )
         stream, is_virtual = self._owner.stream, turn_of(process.loop).virtual
         settled = {
-            "path": list(sys.path),
+            "path": import_path(),
             "argv": list(sys.argv),
             "name": self.name,
             "stream": stream,
