@@ -13,6 +13,7 @@ The two never mix: a `Supervisor` deploys and configures and never touches data;
 from __future__ import annotations
 
 import abc
+import copy
 from typing import Any, Self
 
 from esair.messages import Place, SupervisorPhase
@@ -38,7 +39,8 @@ class Component:
         plain = above is object.__new__
         made = above(cls) if plain else above(cls, *args, **options)
         if args or options:
-            made._made_of = args, options  # noqa: SLF001 - its own class
+            kept = {each: _copied(value) for each, value in options.items()}
+            made._made_of = (*map(_copied, args),), kept  # noqa: SLF001 - its own class
         return made
 
     def __init__(self, *, name: str | None = None) -> None:
@@ -56,6 +58,11 @@ class Component:
         return (
             f"<{type(self).__name__} {self._name or snake_case(type(self).__name__)!r}>"
         )
+
+
+def _copied(value: Any) -> Any:
+    """Return what was given as it is now: a constructor may take a list apart."""
+    return copy.copy(value) if type(value) in {list, dict, set, bytearray} else value
 
 
 def made_of(component: Component) -> tuple[tuple[Any, ...], dict[str, Any]]:

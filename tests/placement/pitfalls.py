@@ -256,6 +256,18 @@ class Falls(esair.Behavior):
         os.abort()
 
 
+class TakesApart(esair.Behavior):
+    """Goes from the end of a list."""
+
+    def __init__(self, route: list[int], *, by: dict[str, list[int]]) -> None:
+        super().__init__()
+        self.first, self.by = route.pop(), by.popitem()
+
+    async def run(self) -> None:
+        self.offer((self.first, self.by), latest=True)
+        await asyncio.sleep(1e6)
+
+
 class Complains(esair.Behavior):
     """Fails with all that it has read."""
 

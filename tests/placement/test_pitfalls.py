@@ -28,6 +28,7 @@ from tests.placement.pitfalls import (
     Plans,
     Receives,
     Sees,
+    TakesApart,
     Threads,
     Twice,
     Wants,
@@ -245,6 +246,22 @@ async def test_programs_that_a_component_has_begun_end_with_it() -> None:
         assert all(map(lives, pids))
 
     await until(lambda: not any(map(lives, pids)), within=2.0)
+
+
+@pytest.mark.promise("PLC-1", "PLC-6")
+async def test_a_constructor_may_take_apart_what_it_gets() -> None:
+    """Each process makes it of what was given, whatever has become of that."""
+    inner = [1]
+    route, by = [1, 2], {"a": inner}
+    behavior = placed(TakesApart(route, by=by), "process")
+    async with esair.Robot(behaviors=[behavior]) as robot:
+        for _ in range(2):
+            await until(lambda: robot.behaviors.query("takes_apart").can_send)
+            found = await robot.behaviors.get(sender="takes_apart", receiver="user")
+            assert found == (2, ("a", [1]))
+            route.clear()
+            inner.append(2)
+            await robot.behaviors.restart("takes_apart")
 
 
 @pytest.mark.real_clock

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import copy
 import logging
 import sys
 from collections.abc import Callable, Coroutine, Iterable
@@ -101,7 +102,8 @@ class Seat:
         self.placement = placement
         self.name: str = component.name
         self.process: Process | None = None
-        self._recipe = recipe_of(component)  # now: later it knows its robot
+        # Now, and of its own: later it knows its robot, and what it got may have changed.
+        self._recipe = copy.deepcopy(recipe_of(component))
         self._seats = seats
         self._owner = Owner()
         self._before: dict[str, Any] = {}
