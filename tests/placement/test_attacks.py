@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import math
 import os
 import queue
@@ -368,6 +369,23 @@ async def test_what_cannot_be_placed_is_a_finding() -> None:
     assert "cannot be sent to a process" in text
     assert "expected 'process', 'task'" in text
     assert len(raised.value.exceptions) == 5
+
+
+@pytest.mark.promise("PLC-1", "RS-8")
+async def test_a_kernel_that_cannot_watch_a_process_is_a_finding(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Such as that of an old container: it is told before anything starts."""
+
+    def refuse(*_: int) -> int:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "pidfd_open", refuse)
+    with pytest.raises(ExceptionGroup) as raised:
+        async with esair.Robot(resources=[fake_wheels()], behaviors=[Drive()]):
+            pass
+    (finding,) = raised.value.exceptions
+    assert "cannot watch a process of its own: PermissionError" in str(finding)
 
 
 REFUSED = {

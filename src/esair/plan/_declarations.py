@@ -11,6 +11,7 @@ import ast
 import dis
 import enum
 import inspect
+import os
 import sys
 import types
 import typing
@@ -44,7 +45,7 @@ from esair.connections import (
     limits_by_field,
     part_of,
 )
-from esair.exceptions import BadValueError, ConfigError
+from esair.exceptions import BadValueError, ConfigError, describe
 from esair.flaws import fields_of
 from esair.messages import Reading, Restart, Stamped, placement_of
 from esair.plan._plan import Finding, mistake, warning
@@ -679,7 +680,16 @@ def _reason(component: Any) -> tuple[str, str, str] | None:
         )
     if not isinstance(component, Behavior | Reaction | Sensor):
         return None
-    return _unnamed(component) or _unsendable(component)
+    return _unnamed(component) or _unsendable(component) or _impossible()
+
+
+def _impossible() -> tuple[str, str, str] | None:
+    try:
+        os.close(os.pidfd_open(os.getpid()))
+    except (AttributeError, OSError) as error:  # another system; an old container
+        told = f"this computer cannot watch a process of its own: {describe(error)}"
+        return "placement", told, "it takes Linux 5.3, and pidfd_open"
+    return None
 
 
 def _unnamed(component: Any) -> tuple[str, str, str] | None:
