@@ -106,10 +106,9 @@ class Nursery:
             self._end()
 
     def _end(self) -> None:
-        its_end = os.pidfd_open(self._process.pid)
-        signal.pidfd_send_signal(its_end, signal.SIGCONT)  # if it was stopped, too
-        select.select((its_end,), (), (), _PATIENCE)
-        os.close(its_end)
+        self._process.send_signal(signal.SIGCONT)  # if it was stopped, too
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_PATIENCE)
         self._process.kill()  # its children die with it
         self._process.wait()
 
