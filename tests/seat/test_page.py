@@ -926,6 +926,27 @@ async def test_an_arrow_key_after_the_speed_drives(served, chromium):
         await person.key(Keys.ARROW_UP, down=False)
 
 
+@pytest.mark.promise("OPS-4", "OPS-5")
+async def test_a_space_stops_as_at_a_terminal(served, chromium):
+    """Whoever is frightened hits it while an arrow key is still held."""
+    from selenium.webdriver.common.keys import Keys
+
+    robot = served(Wander())
+    person = Person(chromium, robot)
+    async with robot:
+        await person.opens()
+        await person.drives(
+            lambda: person.key(Keys.ARROW_DOWN, down=True),
+            lambda: person.key(Keys.ARROW_DOWN, down=False),
+        )
+        await person.key(" ", down=True)
+        await eventually(lambda: person.holder() == "wander")
+        await asyncio.sleep(0.6)
+        assert person.holder() == "wander"
+        await person.key(" ", down=False)
+        await person.key(Keys.ARROW_DOWN, down=False)
+
+
 @pytest.mark.long
 @pytest.mark.promise("OPS-5")
 async def test_it_drives_again_when_the_robot_is_back(served, chromium):
@@ -1000,6 +1021,10 @@ async def test_operations_and_settings_in_a_browser(served, chromium):
         assert valve.homed == [(3, 0.5)]
         output = await person.finds("#operations output")
         await eventually(lambda: output.text == '"at home"')
+        await person.key(" ", down=True)  # the button that was pressed keeps no keys
+        await person.key(" ", down=False)
+        await asyncio.sleep(0.3)
+        assert valve.homed == [(3, 0.5)]
 
         assert "l/min (0 to 5)" in (await person.finds("#settings")).text
         told = (

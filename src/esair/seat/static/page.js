@@ -299,6 +299,7 @@ function operation(resource, each) {
   const output = form.appendChild(document.createElement("output"));
   form.onsubmit = (event) => {
     event.preventDefault();
+    document.activeElement.blur(); // the next space or Enter does not do it again
     const given = inputs.filter(([, input]) => input.value !== "");
     const fields = Object.fromEntries(given.map(([taken, input]) => [taken.name, valueOf(input.value, taken.type)]));
     output.textContent = "...";
@@ -386,7 +387,8 @@ function commandOf([forward, left], axes, speed) {
 const types = (event) => ["INPUT", "SELECT"].includes(event.target.tagName);
 addEventListener("keydown", (event) => {
   // Of a key with a modifier the end may never come: macOS tells none while Command is held.
-  if (event.metaKey || event.ctrlKey || event.altKey) return drop();
+  // A space stops, as at a terminal, whatever else is held.
+  if (event.metaKey || event.ctrlKey || event.altKey || event.key === " ") return drop();
   if (types(event) || !(event.key in KEYS)) return;
   event.preventDefault();
   if (!event.repeat) hold(KEYS[event.key]);
