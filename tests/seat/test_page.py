@@ -927,6 +927,25 @@ async def test_an_arrow_key_after_the_speed_drives(served, chromium):
 
 
 @pytest.mark.promise("OPS-4", "OPS-5")
+async def test_a_menu_of_the_browser_ends_what_is_driven(served, chromium):
+    """The key that is let go while it is open is told to the menu, not to the page."""
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    robot = served(Wander())
+    person = Person(chromium, robot)
+    async with robot:
+        await person.opens()
+        await person.drives(
+            lambda: person.key(Keys.ARROW_DOWN, down=True),
+            lambda: person.key(Keys.ARROW_DOWN, down=False),
+        )
+        await asyncio.to_thread(ActionChains(chromium).context_click().perform)
+        await eventually(lambda: person.holder() == "wander")
+        await person.key(Keys.ARROW_DOWN, down=False)
+
+
+@pytest.mark.promise("OPS-4", "OPS-5")
 async def test_a_space_stops_as_at_a_terminal(served, chromium):
     """Whoever is frightened hits it while an arrow key is still held."""
     from selenium.webdriver.common.keys import Keys

@@ -420,7 +420,8 @@ setInterval(() => {
   }
 }, 50);
 
-addEventListener("blur", drop);
+// While a menu is open or something is dragged, no key and no button tells its end.
+for (const each of ["blur", "contextmenu", "dragstart"]) addEventListener(each, drop);
 document.addEventListener("visibilitychange", () => document.hidden && drop());
 
 connect();
