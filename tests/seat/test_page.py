@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import functools
 import http.client
 import io
 import json
@@ -943,6 +944,33 @@ async def test_a_menu_of_the_browser_ends_what_is_driven(served, chromium):
         await asyncio.to_thread(ActionChains(chromium).context_click().perform)
         await eventually(lambda: person.holder() == "wander")
         await person.key(Keys.ARROW_DOWN, down=False)
+
+
+@pytest.mark.promise("OPS-5")
+async def test_a_finger_that_stays_drives_on(served, chromium):
+    """A phone asks for a menu then: the pad has none, and nothing is let go."""
+    robot = served(Wander())
+    person = Person(chromium, robot)
+    async with robot:
+        await person.opens()
+        left, top, right, bottom = await person.measures("#pad button")
+        at = {"x": (left + right) / 2, "y": (top + bottom) / 2}
+        touch = functools.partial(
+            asyncio.to_thread, chromium.execute_cdp_cmd, "Input.dispatchTouchEvent"
+        )
+        await person.drives(
+            lambda: touch({"type": "touchStart", "touchPoints": [at]}),
+            lambda: touch({"type": "touchEnd", "touchPoints": []}),
+        )
+        opens = await person.runs(
+            "const asked = new MouseEvent('contextmenu', "
+            "{ bubbles: true, cancelable: true });"
+            "return document.querySelector('#pad button').dispatchEvent(asked);"
+        )
+        await asyncio.sleep(0.6)
+        assert (opens, person.holder()) == (False, "operator")
+        await touch({"type": "touchEnd", "touchPoints": []})
+        await eventually(lambda: person.holder() == "wander")
 
 
 @pytest.mark.promise("OPS-4", "OPS-5")

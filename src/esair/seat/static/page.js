@@ -402,6 +402,10 @@ for (const button of document.querySelectorAll("#pad button")) {
     button.setPointerCapture(event.pointerId);
     hold([Number(button.dataset.x), Number(button.dataset.y)]);
   };
+  button.oncontextmenu = (event) => {
+    event.preventDefault(); // a finger that stays asks for one
+    event.stopPropagation();
+  };
   button.onpointerup = button.onpointercancel = button.onlostpointercapture = drop;
 }
 // A gamepad drives with its left stick while a shoulder button is held: a dead man's handle.
