@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import functools
 import http.client
 import io
 import json
@@ -955,13 +954,13 @@ async def test_a_finger_that_stays_drives_on(served, chromium):
         await person.opens()
         left, top, right, bottom = await person.measures("#pad button")
         at = {"x": (left + right) / 2, "y": (top + bottom) / 2}
-        touch = functools.partial(
-            asyncio.to_thread, chromium.execute_cdp_cmd, "Input.dispatchTouchEvent"
-        )
-        await person.drives(
-            lambda: touch({"type": "touchStart", "touchPoints": [at]}),
-            lambda: touch({"type": "touchEnd", "touchPoints": []}),
-        )
+
+        def touch(kind, *points):
+            how = {"type": kind, "touchPoints": points}
+            dispatch = "Input.dispatchTouchEvent"
+            return asyncio.to_thread(chromium.execute_cdp_cmd, dispatch, how)
+
+        await person.drives(lambda: touch("touchStart", at), lambda: touch("touchEnd"))
         opens = await person.runs(
             "const asked = new MouseEvent('contextmenu', "
             "{ bubbles: true, cancelable: true });"
@@ -969,7 +968,7 @@ async def test_a_finger_that_stays_drives_on(served, chromium):
         )
         await asyncio.sleep(0.6)
         assert (opens, person.holder()) == (False, "operator")
-        await touch({"type": "touchEnd", "touchPoints": []})
+        await touch("touchEnd")
         await eventually(lambda: person.holder() == "wander")
 
 
