@@ -445,6 +445,12 @@ def test_only_a_plain_function_can_listen() -> None:
             Journal().listen(wrong)  # type: ignore[arg-type]
 
 
+def test_a_kind_that_there_is_not_is_told_with_what_was_meant() -> None:
+    """A name is typed as well as the kind itself."""
+    with pytest.raises(esair.ConfigError, match="did you mean 'refused'"):
+        Journal().listen(print, kinds=["refusd"])  # type: ignore[list-item]
+
+
 async def test_a_kind_is_heard_while_anybody_listens_to_it():
     """What tells much looks there first; each kind by itself."""
     journal = Journal()

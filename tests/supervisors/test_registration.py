@@ -35,6 +35,15 @@ async def test_a_port_outside_a_robot_is_not_registered() -> None:
             getattr(wander, port)
 
 
+@pytest.mark.promise("RS-8")
+async def test_what_is_no_name_is_told_as_a_wrong_one(fake_actuator: Any) -> None:
+    """Not by an error from inside."""
+    wheels, wander = fake_actuator("wheels", safe=0.0), esair.Behavior(name="wander")
+    async with esair.Robot(resources=[wheels], behaviors=[wander]):
+        with pytest.raises(esair.UnknownNameError, match="there are wheels"):
+            await wander.register(wheels, esair.Access.WRITE)
+
+
 @pytest.mark.promise("RS-1")
 @pytest.mark.fault("R01", "R08")
 async def test_a_registration_is_for_one_resource_and_one_access(

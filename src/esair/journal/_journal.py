@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from esair.exceptions import ConfigError, describe
+from esair.exceptions import ConfigError, describe, hint_for
 from esair.loop import clock_of
 
 
@@ -81,6 +81,11 @@ class Kind(enum.StrEnum):
     """An operator did something: what it was done to, who, the act."""
     LOG = "log"
     """A line of esair's log: the logger; the line is the text."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> Kind:
+        told = f"there is no kind {value!r:.80}{hint_for(str(value), map(str, cls))}"
+        raise ConfigError("journal", "kinds", told)
 
 
 class Event(NamedTuple):
@@ -280,7 +285,7 @@ class Journal:
             The listener; its ``stop()`` ends it.
 
         Raises:
-            ConfigError: It is no plain function.
+            ConfigError: It is no plain function, or a kind is none.
         """
         if not callable(function) or inspect.iscoroutinefunction(function):
             told = f"expected a plain function, not {function!r:.80}"

@@ -131,7 +131,7 @@ class ControlPath:
 
     def _provider(self, resource: str) -> str:
         """Return the actuator if a name is that of its last command."""
-        actuator = resource.removesuffix(APPLIED)
+        actuator = str(resource).removesuffix(APPLIED)  # no name at all is told then
         return actuator if actuator in self._actuators.channels else resource
 
     def _check_there(self, resource: str, provider: str) -> None:
