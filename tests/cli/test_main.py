@@ -183,6 +183,17 @@ def test_a_closed_input_is_no_terminal(start, tmp_path) -> None:
     assert told == "esair: drive: expected a terminal with keys\n"
 
 
+@pytest.mark.promise("OPS-3")
+@pytest.mark.parametrize("reason", ["-a cat", "--al", "--robt rover now"])
+def test_no_halt_fails_for_its_reason(esair_command, monkeypatch, reason) -> None:
+    """One that begins as an option does, or an option that is typed wrongly, is one."""
+    told = []
+    monkeypatch.setattr(_steer, "_do", lambda *act: told.append(act) or 0)
+
+    assert esair_command("stop", *reason.split()) == 0
+    assert told == [(None, "stop", {"reason": reason}, None)]
+
+
 @pytest.mark.real_clock
 def test_who_hears_nothing_still_gets_the_exit_code(start, tmp_path) -> None:
     """``esair stop | true``: an actuator that has not answered is none that is safe."""

@@ -363,6 +363,8 @@ def test_a_long_request_is_waited_for(esair, monkeypatch):
     waits = {}
 
     class Robot:
+        name = "rover"
+
         def do(self, act, fields, timeout):
             waits[act] = timeout
             return "done"

@@ -116,9 +116,9 @@ def _parameter(name: str, field: Field, *, of: str) -> inspect.Parameter:
         where = inspect.Parameter.KEYWORD_ONLY
     if field.is_table or of == "stop":
         default, where = inspect.Parameter.empty, inspect.Parameter.VAR_POSITIONAL
-    kind = Annotated[
-        kind | None if default is None else kind, Parameter(help=field.doc)
-    ]
+    # A reason that begins as an option does is none that keeps a robot from halting.
+    how = Parameter(help=field.doc, allow_leading_hyphen=of == "stop")
+    kind = Annotated[kind | None if default is None else kind, how]
     return inspect.Parameter(name, where, annotation=kind, default=default)
 
 
