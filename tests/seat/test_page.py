@@ -405,6 +405,14 @@ def test_another_address_needs_tls_or_a_word():
     assert TOKEN not in repr(esair.Page(token=TOKEN))
 
 
+async def test_a_host_that_there_is_not_is_told_in_words(served):
+    """The errors of names are not those of the kernel: it said "Unknown error -2"."""
+    page = esair.Page(host="a..b", insecure=True)
+    with pytest.raises(esair.ConfigError, match="not known"):
+        async with served(page=page):
+            pass
+
+
 def test_a_missing_package_is_named_before_anything_starts(monkeypatch):
     """They are imported where nothing waits for the loop yet."""
     monkeypatch.setitem(sys.modules, "uvicorn", None)

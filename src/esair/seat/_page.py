@@ -8,7 +8,6 @@ import contextlib
 import hmac
 import ipaddress
 import logging
-import os
 import re
 import secrets
 import socket
@@ -512,6 +511,6 @@ def _bind(page: Page) -> socket.socket:
         bound.setblocking(False)
     except OSError as error:
         bound.close()
-        told = f"{page.host}:{page.port} cannot be had: {os.strerror(error.errno or 0)}"
+        told = f"{page.host}:{page.port} cannot be had: {error.strerror}"
         raise ConfigError("page", "port", told) from None
     return bound
