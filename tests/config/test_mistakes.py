@@ -240,6 +240,13 @@ def test_each_wrong_value_of_a_table_of_the_robot_is_told(project) -> None:
     ]
 
 
+def test_a_robots_name_that_is_none_is_told_once(project) -> None:
+    """One mistake is one line."""
+    project.changed('name = "rover"', 'name = "my rover"')
+
+    assert len(project.mistakes()) == 1
+
+
 def test_one_mistake_is_a_group_too(project) -> None:
     """Whoever catches the group catches every mistake."""
     project.changed("rate = 20", "rate = true")

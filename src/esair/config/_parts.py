@@ -102,7 +102,6 @@ def _read_robot(source: Source, robot_class: type) -> dict[str, Any]:
         result = source.convert(value, keywords[name].kind, key)
         if result is not INVALID:
             settings[name] = result
-    source.is_name("robot", settings["name"], "robot.name")
     return settings
 
 
