@@ -7,7 +7,7 @@ import termios
 
 import pytest
 
-from esair.cli import _main
+from esair.cli import _main, _steer
 from esair.cli._errors import show
 
 WITHOUT = """
@@ -34,6 +34,7 @@ os.dup2(writing, 1)
 from esair.cli import _steer, main
 
 class Client:
+    name = "rover"
     __enter__ = __exit__ = lambda *_: Client()
     def do(self, *_, **__):
         actuator = {"name": "wheels", "answered": False, "command": "", "why": ""}
