@@ -303,8 +303,9 @@ class ProfiledAction(abc.Action):
     blind_unless_said: ClassVar[Blind] = "release"
     """What ``blind`` of its ports is, where they do not say."""
 
-    needs: Mapping[str, Need] = {}
-    """What this action reads, writes and guards, by the name of its port."""
+    if TYPE_CHECKING:  # else it were a key of each robot.toml
+        needs: Mapping[str, Need]
+        """What this action reads, writes and guards, by the name of its port."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
