@@ -105,18 +105,16 @@ class Decision:
     def function(self, now: float) -> Awaitable[object] | None:
         """Decide. Called by the scheduler when all steps of the turn have run."""
         wish, self._wish = self._wish, None
-        if not self._looks:
-            return None if wish is None else self._commit(wish, now)
-        self._looks = False
-        asked = self._channel.guards.times
-        rest = None if wish is None else self._commit(wish, now)
-        if self._channel.guards.times == asked:
+        if not (self._looks or self._others):
+            return None if wish is None else wish.commit(now)[1]
+        looks, self._looks, asked = self._looks, False, self._channel.guards.times
+        rest = None if wish is None else self._decide(wish, now)
+        if looks and self._channel.guards.times == asked:
             self._channel.review()
         return rest
 
-    def _commit(self, wish: Wish, now: float) -> Awaitable[object] | None:
-        if not self._others:
-            return wish.commit(now)[1]
+    def _decide(self, wish: Wish, now: float) -> Awaitable[object] | None:
+        """Let the one wish of several that wins commit."""
         wishes, self._others = [wish, *self._others], ()
         wishes.sort(key=self._rank)
         winner: Wish | None = None
