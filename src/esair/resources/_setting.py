@@ -361,8 +361,9 @@ def operation(function: Any = None, /, *, deadline: float | None = None) -> Any:
 @once_for_class
 def operations_of(component: type[abc.Resource]) -> Mapping[str, Operation]:
     """Return the operations that a class of resources declares, by name."""
+    marked = _marked(component)
     return MappingProxyType(
-        {name: _described(component, name, each) for name, each in _marked(component)}
+        {name: _described(component, name, each) for name, each in marked.items()}
     )
 
 
@@ -375,7 +376,7 @@ def operation_of(resource: abc.Resource, name: str) -> Operation:
 
 def wrong_operations(component: type[abc.Resource]) -> Iterator[tuple[str, str]]:
     """Yield what is wrong with the operations of a class: the method, and what."""
-    for name, marked in _marked(component):
+    for name, marked in _marked(component).items():
         function = getattr(component, name)
         deadline = getattr(marked, _MARK)
         if name in _OWN or name == "stream":
@@ -404,18 +405,19 @@ def wrong_operations(component: type[abc.Resource]) -> Iterator[tuple[str, str]]
                     yield name, f"the default of {each.name!r}: {error}"
 
 
-def _marked(component: type[Any]) -> Iterator[tuple[str, Any]]:
-    """Yield the names of operations, and the nearest method that is marked as one.
+@once_for_class
+def _marked(component: type[abc.Resource]) -> Mapping[str, Any]:
+    """Return the nearest method that is marked as an operation, by its name.
 
     A subclass that overrides the method need not mark it again.
     """
-    seen = set()
+    found: dict[str, Any] = {}
     for cls in component.__mro__:
         for name, value in vars(cls).items():
             method = getattr(value, "__func__", value)  # of a staticmethod above it
-            if name not in seen and hasattr(method, _MARK):
-                seen.add(name)
-                yield name, method
+            if hasattr(method, _MARK):
+                found.setdefault(name, method)
+    return found
 
 
 def _described(component: type[Any], name: str, marked: Any) -> Operation:
