@@ -236,6 +236,53 @@ def test_a_row_in_a_reading_is_looked_at_too(tmp_path) -> None:
     assert [each[1] for each in told if len(each) == 3] == [1, 2, 3, 3, 4, 5, 6]
 
 
+LENT = """
+from collections import namedtuple
+from esair.minimal import Reaction, reads, writes
+
+Scan = namedtuple("Scan", ("first", "ranges"))
+
+def least(scan):
+    return min(scan.ranges[0], scan.ranges[1]) + scan.first
+
+class Keeps(Reaction):
+    s0 = reads(Scan, max_age=0.01)
+    m0 = writes(float)
+    kept = Scan(0.25, (0.5, 0.5))
+
+    def react(self, s0):
+        found = self.swapped(self.kept, s0) + least(self.kept)
+        if s0.first > 0.0:
+            s0 = self.turned(s0)
+        return found + least(s0 if found < 2.0 else self.turned(self.turned(s0)))
+
+    def swapped(self, before, now):
+        self.kept = now
+        return least(before) + 4.0 * least(now)
+
+    def turned(self, scan):
+        scan = Scan(-scan.first, (scan.ranges[1], scan.ranges[0] * 0.5))
+        return scan
+"""
+
+
+def test_what_a_function_is_given_stays_as_it_was(tmp_path) -> None:
+    """A large tuple is not copied, but where it may become another one meanwhile."""
+    module = robots.imported(LENT, tmp_path / "lent.py")
+    scan = module.Scan
+    robot = robots.Robot(
+        [module.Keeps()],
+        [robots.Given("s0", scan(0.5, (1.0, 1.0)))],
+        [robots.Told("m0", 0.0, 1.0)],
+    )
+    readings = [scan(0.5, (1.0, 2.0)), scan(-0.25, (0.125, 4.0)), scan(1.0, (0.5, 8.0))]
+    journal = [([each], [True]) for each in readings]
+    program = robots.in_c(robot, tmp_path, *robots.SANITIZED)
+    source = (tmp_path / "robot" / "robot.c").read_text()
+    assert "const Robot_Scan *" in source
+    assert robots.run_c(robot, program, journal) == robots.run_min(robot, journal)
+
+
 def near(one: Any, other: Any) -> bool:
     """Tell whether two runs are the same but for what single floats round."""
     if len(one) != len(other):

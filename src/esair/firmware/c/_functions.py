@@ -337,6 +337,11 @@ class Functions:
     def _write(self, function: Function, is_method: bool, root: bool) -> None:
         node, file, before = definition(function.python)
         function.impure = function.timed = False
+        function.lent = {
+            name
+            for name, kind in function.kinds.items()
+            if kind.is_large and not _changes(node.body, name)
+        }
         parameters = inspect.signature(function.python, follow_wrapped=False).parameters
         ports = [*self.memory.ports.values()]
         scope = Statements(
@@ -350,7 +355,9 @@ class Functions:
         self._errors += scope.errors
         result = function.result or NONE
         given = [
-            f"{t.c} v_{in_c(n)}" for n, t in function.kinds.items() if t is not NONE
+            f"const {t.c} *v_{in_c(n)}" if n in function.lent else f"{t.c} v_{in_c(n)}"
+            for n, t in function.kinds.items()
+            if t is not NONE
         ]
         head = f"static {result.c} {function.c}({', '.join(given) or 'void'})"
         own = {n: t for n, t in function.locals.items() if t is not NONE}

@@ -66,6 +66,11 @@ class Type:
             return self.fields[0]
         return None
 
+    @property
+    def is_large(self) -> bool:
+        """Whether a copy of it costs more than its address."""
+        return len(self.fields) > 2 or any(each.fields for each in self.fields)
+
     def field(self, number: int) -> str:
         """What follows the name of a tuple to say one of its fields."""
         if self.row is not None:
@@ -276,9 +281,23 @@ class Function:
     timed: bool = False  # whether it asks for the time
     lines: list[str] = attrs.Factory(list)
 
+    lent: set[str] = attrs.Factory(set)
+    """Its parameters that are pointers: large, and never another value in it."""
+
     def called(self, args: Mapping[str, Value]) -> str:
-        given = (each.text for each in args.values() if each.type is not NONE)
+        given = [
+            _lent(each) if name in self.lent else each.text
+            for name, each in args.items()
+            if each.type is not NONE
+        ]
         return f"{self.c}({', '.join(given)})"
+
+
+def _lent(value: Value) -> str:
+    """Write where a value is: what a function may change meanwhile is copied first."""
+    if re.fullmatch(r"(\(\*v_\w+\)|(v|in|pass)_\w+|(t|es_k)\d+)[\w.\[\]]*", value.text):
+        return f"&{value.text}"
+    return f"(const {value.type.c}[]){{{value.text}}}"
 
 
 @attrs.define
@@ -462,10 +481,11 @@ class Scope:
             kind = self.function.locals.get(name, NONE)
             if kind.of and name in self.sure:
                 return Value(kind.of, f"v_{in_c(name)}.value", True)
-            return (
-                self.constant(None)
-                if kind is NONE
-                else Value(kind, f"v_{in_c(name)}", True)
+            if kind is NONE:
+                return self.constant(None)
+            text = f"v_{in_c(name)}"
+            return Value(
+                kind, f"(*{text})" if name in self.function.lent else text, True
             )
         if name in code.co_freevars:
             raise RefusedError(

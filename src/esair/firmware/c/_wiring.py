@@ -242,9 +242,14 @@ class Wiring:
         pace = 0 if task.reaction.rate is None else task.pace
         react = "NULL" if guarding else f"react_{name}"
         return (
-            f"{{{{0, {pace}, ES_EVERY, false}}, {react}, es_terms + {first}, {len(terms)}, "
+            f"{{{self._turn('0', pace)}, {react}, es_terms + {first}, {len(terms)}, "
             f"ROBOT_REACTION_{name.upper()}, 0, {_c(guarding)}, false, false}}"
         )
+
+    def _turn(self, age: str, pace: int) -> str:
+        every = self._loop.every
+        slow, due = _c(0 < pace < every), _c(pace >= every)
+        return f"{{{age}, {pace}, ES_EVERY, {slow}, {due}}}"
 
     def _readings(self, terms: Any, first: int) -> dict[str, Value]:
         found = {}
@@ -325,7 +330,7 @@ class Wiring:
 
     def _input_row(self, name: str) -> str:
         node = self._loop.inputs[name]
-        turn = f"{{ES_OLD, {node.pace}, ES_EVERY, false}}"
+        turn = self._turn("ES_OLD", node.pace)
         return f"{{{turn}, take_{name}, ROBOT_SENSOR_{name.upper()}}}"
 
     def _port_row(self, port: Any) -> str:

@@ -12,7 +12,7 @@
 
 typedef struct { /* when a part has its turn; a pace of 0: on each new reading */
     uint32_t age, pace, phase;
-    bool due;
+    bool slow, due; /* slow: not in each step */
 } es_turn;
 
 typedef struct { /* a sensor, and how old its reading is */
@@ -174,7 +174,7 @@ static bool es_try(void (*decide)(void), uint8_t part)
     return true;
 }
 
-ES_SHARED void es_clock(es_task *task)
+static inline void es_clock(es_task *task)
 {
     es_elapsed = task->started ? task->turn.age : 0;
     task->started = true;
@@ -307,13 +307,13 @@ static void es_lose_sight(es_task *task)
 }
 
 /* Ask for the command that a reaction has put there, or give the actuator back. */
-ES_SHARED void es_ask(es_port *port, bool some)
+static inline void es_ask(es_port *port, bool some)
 {
     port->asked = some;
     if (!some && port->output->holder == port) port->output->holder = NULL;
 }
 
-ES_SHARED void es_grow(uint32_t *age, uint32_t gap)
+static inline void es_grow(uint32_t *age, uint32_t gap)
 {
     uint32_t now = *age + gap;
     *age = now < ES_OLD ? now : ES_OLD;
@@ -323,15 +323,16 @@ ES_SHARED void es_grow(uint32_t *age, uint32_t gap)
 ES_SHARED void es_pass(es_turn *turn, uint32_t gap)
 {
     es_grow(&turn->age, gap);
-    if (turn->pace == 0 || turn->pace >= ES_EVERY) return;
+    if (!turn->slow) return;
     turn->phase += turn->pace;
     if (turn->phase >= 2 * ES_EVERY) turn->phase -= ES_EVERY;
 }
 
 ES_SHARED void es_begin(es_turn *turn)
 {
-    turn->due = turn->pace >= ES_EVERY || turn->phase >= ES_EVERY;
-    if (turn->phase >= ES_EVERY && turn->pace < ES_EVERY) turn->phase -= ES_EVERY;
+    if (!turn->slow) return;
+    turn->due = turn->phase >= ES_EVERY;
+    if (turn->due) turn->phase -= ES_EVERY;
 }
 
 static void es_advance(void) /* by one period */
