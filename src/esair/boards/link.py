@@ -134,6 +134,12 @@ def packed(buffer: bytearray, at: int, value: "Any", form: str = FLOAT) -> int:
 def unpacked(data: "Any", at: int) -> "tuple[Any, int]":
     """Return the value at a place of some bytes, and where the next one begins."""
     letter = data[at]
+    if letter == 82:  # R: first, as it is what takes longest
+        count, letter = data[at + 1] | data[at + 2] << 8, data[at + 3]
+        form = _PAIRS[letter] if count == 2 else "<%d%s" % (count, chr(letter))
+        at += 4
+        value = struct.unpack_from(form, data, at)
+        return value, at + count * (_SIZES[letter] - 1)
     form = _FORMS.get(letter)
     if form:
         return struct.unpack_from(form, data, at + 1)[0], at + _SIZES[letter]
@@ -142,11 +148,6 @@ def unpacked(data: "Any", at: int) -> "tuple[Any, int]":
         return letter == 84, at
     count = data[at] | data[at + 1] << 8
     at += 2
-    if letter == 82:  # R
-        letter = data[at]
-        form = _PAIRS[letter] if count == 2 else "<%d%s" % (count, chr(letter))
-        end = at + 1 + count * (_SIZES[letter] - 1)
-        return struct.unpack_from(form, data, at + 1), end
     if letter == 114:  # r
         found = []
         for _ in range(count):
@@ -272,7 +273,9 @@ class Link:
             now = self.loop._ms
             if self.ends >= 0 and now - self.ends & _MASK < _HALF:
                 self._end()
-            self._hear()
+            for _ in self.line.came(0):
+                self._take()
+                break
             if (self.answer is not None or self.came >= 0) and self._reply(now):
                 return
             if not 0 < self.rest - now <= BEAT_MS:
@@ -480,11 +483,6 @@ class Link:
             out[at] = 0
             at += 1
 
-    def _hear(self) -> None:
-        for _ in self.line.came(0):
-            self._take()
-            break
-
     def _take(self) -> None:
         """Take what the line has brought, one message at most; more if they are late."""
         line, message = self.line, self.message
@@ -540,14 +538,14 @@ class Link:
                 value, at = unpacked(message, at + 1)
                 if at > end:
                     return False  # it says more than it has
-                if isinstance(value, tuple):
-                    kind = order.output.type
-                    if kind is not tuple:
-                        value = kind(*value)
+                kind = order.output.type
+                if kind is not value.__class__ and isinstance(value, tuple):
+                    value = kind(*value)
                 order.place, order.came = place, now
-                order.command = None if alone else value
-                if not alone:
-                    good = order.good_ms
+                if alone:
+                    order.command = None
+                else:
+                    order.command, good = value, order.good_ms
                     order.ends = now + good
                     if self.ends < 0 or good < self.ends - now & _MASK:
                         self.ends = order.ends
