@@ -133,13 +133,13 @@ def packed(buffer: bytearray, at: int, value: "Any", form: str = FLOAT) -> int:
 
 def unpacked(data: "Any", at: int) -> "tuple[Any, int]":
     """Return the value at a place of some bytes, and where the next one begins."""
+    form: Any
     letter = data[at]
     if letter == 82:  # R: first, as it is what takes longest
         count, letter = data[at + 1] | data[at + 2] << 8, data[at + 3]
         form = _PAIRS[letter] if count == 2 else "<%d%s" % (count, chr(letter))
-        at += 4
-        value = struct.unpack_from(form, data, at)
-        return value, at + count * (_SIZES[letter] - 1)
+        end = at + 4 + count * (_SIZES[letter] - 1)
+        return struct.unpack_from(form, data, at + 4), end
     form = _FORMS.get(letter)
     if form:
         return struct.unpack_from(form, data, at + 1)[0], at + _SIZES[letter]
