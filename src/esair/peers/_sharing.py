@@ -130,7 +130,6 @@ class Sharing(Behavior):
             maxlen=_ASKS
         )
         self._missing: set[int] = set()
-        self._said_at: dict[str, float] = {}
         self._orders: asyncio.Queue[tuple[Any, ...]] = asyncio.Queue(64)
         self._commands: dict[str, asyncio.Queue[tuple[Any, ...]]] = {
             name: asyncio.Queue(_WAITING) for name in self._all("write")
@@ -279,7 +278,7 @@ class Sharing(Behavior):
             self._pauses[name] = 1.0 / min(rate, share.rate)
             if name not in self._feeds:
                 self._feeds[name] = tasks.create_task(self._feed(name))
-            elif now() - self._said_at.get(name, -math.inf) > QUIET:
+            elif now() - self.bus.told_at.get(name, -math.inf) > QUIET:
                 # What a sensor has pushed last may be lost in a gap.
                 with contextlib.suppress(EsairError):
                     self._send(name, getattr(self, f"the_{name}").newest)
@@ -303,9 +302,7 @@ class Sharing(Behavior):
             self._feeds.pop(name, None)
 
     def _send(self, name: str, reading: Any) -> None:
-        age = float(max(0.0, now() - reading.time))
-        self._said_at[name] = now()
-        self.bus.say("reading", name, age, reading.value)
+        self.bus.tell(name, reading.time, reading.value)
 
     def _is_there(self, name: str) -> bool:
         return bool(getattr(self, f"the_{name}").state is ResourceState.READY)

@@ -107,6 +107,13 @@ class PeerBus(Bus):
         self.network: PeerNetwork = network
         self.round_trip: float = math.inf
         """How long a beat and its echo have taken last, in seconds."""
+        self.told_at: dict[str, float] = {}
+        """Of each sensor when a reading was said last."""
+        self._least = math.inf
+        self._copied_at = self._told_at = NEVER
+        self._is_late, self._pause = False, 0.0
+        self._later: dict[str, tuple[float, Any]] = {}
+        """Of each sensor what is said when the way is free: when that was measured, and what."""
         self._undeclared: list[Any] = []
         self.kinds: Kinds = Kinds(more=self._declare_late, fits=fits)
         """The classes that may come: what the robot's own parts declare."""
@@ -224,6 +231,7 @@ class PeerBus(Bus):
         """Tell everybody on the bus, and whoever waits for an answer."""
         super().lost(error)
         self._heard.clear()
+        self._later.clear()
         self._releases.clear()
         for each in self._pending.values():
             fail(each.outcome, DeviceLostError(self.name, describe(error)))
@@ -268,6 +276,7 @@ class PeerBus(Bus):
                 self._gone("it has restarted")
         if head.beat < self._its_beat or (it := hash((what, data))) in self._taken:
             self.stats.late += 1  # it was overtaken, or has come, on another way
+            self._copied_at = now
             return False
         if head.beat > self._its_beat:
             self._taken.clear()
@@ -288,6 +297,8 @@ class PeerBus(Bus):
         if since > NEVER:
             self.round_trip = max(0.0, now - since - head.held)
             self.heard_at = max(self.heard_at, since)
+            self._least = min(self._least, self.round_trip)
+            self._tell_later()
         if what == "bye":
             self._end_run(head.run)
             self._its_run = 0
@@ -440,9 +451,54 @@ class PeerBus(Bus):
             data = packed(head, parts, self.kinds)
         except CodecError as error:
             raise BadValueError(self.name, what, str(error)) from None
+        if what == "gone":
+            self._later.pop(parts[0], None)
         self.stats.sent += 1
         self._send(what, data)
         return True
+
+    def tell(self, sensor: str, at: float, value: Any) -> None:
+        """Say a reading that was measured at a moment of the clock of the loop.
+
+        While what was said before waits on the way only the newest is said, later.
+
+        Raises:
+            BadValueError: It is no plain data: which part of it, and why.
+        """
+        if self._is_slow():
+            self._later[sensor] = at, value
+        else:
+            self._later.pop(sensor, None)
+            now = self._told_at = asyncio.get_running_loop().time()
+            self.told_at[sensor] = now
+            self._pause *= 0.95
+            self.say("reading", sensor, max(0.0, float(now - at)), value)
+
+    def _is_slow(self) -> bool:
+        """Tell whether readings wait: an echo takes longer than the way itself.
+
+        Each time that begins they are said half as often, and then a little more often with
+        each. What is slow though none was said for a second is the way. While the peer
+        says all on several ways, what it hears comes as often: they are said seldom.
+        """
+        now = asyncio.get_running_loop().time()
+        late = max(self.round_trip, now - self.heard_at - 2.0 * BEAT)
+        if (quiet := now - self._told_at) > SILENCE:
+            self._least = late
+        was_late, self._is_late = self._is_late, late > self._least + BEAT
+        if self._is_late and not was_late:
+            self._pause = min(0.5, 2.0 * self._pause + 0.01)
+        is_copied = now - self._copied_at < 2.0 * BEAT
+        return self._is_late or quiet < (0.5 if is_copied else self._pause)
+
+    def _tell_later(self) -> None:
+        if self._later and not self._is_slow():
+            later, self._later = self._later, {}
+            for sensor, (at, value) in later.items():
+                try:
+                    self.tell(sensor, at, value)
+                except BadValueError as error:
+                    self.say("gone", sensor, describe(error))
 
     def _say_again(self) -> None:
         """Say what may have been lost in a gap."""

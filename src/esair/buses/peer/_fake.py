@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import random
 from functools import partial
 from typing import Final
@@ -42,6 +43,7 @@ class FakeNetwork:
         delay: How long each message takes, in seconds.
         loss: Which share of the messages comes 0.2 s late, from 0 to 1, and holds up
             those behind it: TCP sends again what is lost.
+        rate: How many bytes a second each way carries; what is more waits.
         deaf: Robots that hear nothing, though they are heard.
         log: Every message that was sent: who, to whom, what, and its bytes.
         there: The buses that hear: of whom, and to whom.
@@ -52,9 +54,17 @@ class FakeNetwork:
         >>> to_laptop = PeerBus(name="laptop", network=network.of("base"))
     """
 
-    def __init__(self, *, delay: float = 0.0, loss: float = 0.0, seed: int = 0) -> None:
+    def __init__(
+        self,
+        *,
+        delay: float = 0.0,
+        loss: float = 0.0,
+        rate: float = math.inf,
+        seed: int = 0,
+    ) -> None:
         self.delay = delay
         self.loss = loss
+        self.rate = rate
         self.deaf: set[str] = set()
         self.log: list[tuple[str, str, str, bytes]] = []
         self._random = random.Random(seed)
@@ -96,6 +106,7 @@ class FakeNetwork:
         loop = asyncio.get_running_loop()
         now, way = loop.time(), message[:2]
         at = max(now + self.delay + late, self._last.get(way, 0.0))
+        at += len(message[3]) / self.rate
         if at > now:
             self._last[way] = at
             loop.call_at(at, self.inject, *message)
