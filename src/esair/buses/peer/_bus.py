@@ -471,7 +471,7 @@ class PeerBus(Bus):
             self._later.pop(sensor, None)
             now = self._told_at = asyncio.get_running_loop().time()
             self.told_at[sensor] = now
-            self._pause *= 0.95
+            self._pause *= 0.8
             self.say("reading", sensor, max(0.0, float(now - at)), value)
 
     def _is_slow(self) -> bool:
@@ -489,7 +489,7 @@ class PeerBus(Bus):
         if self._is_late and not was_late:
             self._pause = min(0.5, 2.0 * self._pause + 0.01)
         is_copied = now - self._copied_at < 2.0 * BEAT
-        return self._is_late or quiet < (0.5 if is_copied else self._pause)
+        return self._is_late or quiet < max(self._pause, 4.0 * BEAT * is_copied)
 
     def _tell_later(self) -> None:
         if self._later and not self._is_slow():
