@@ -1,4 +1,4 @@
-"""Two actuators that would move the same thing are found in the file."""
+"""Two devices that would each have the same thing for itself are found in the file."""
 
 from __future__ import annotations
 
@@ -37,16 +37,27 @@ SAME = [
 ]
 
 
-def mistakes(folder: Path, bus: str | None, left: str, right: str) -> list[str]:
+def mistakes(
+    folder: Path, bus: str | None, left: str, right: str, kind: str = "actuator"
+) -> list[str]:
     """Describe two actuators on one bus; return what is wrong with them."""
     on_bus = "" if bus is None else 'bus = "it"\n'
     path = folder / "robot.toml"
     path.write_text(
         ("" if bus is None else f"[bus.it]\n{bus}\n")
-        + f"[actuator.left]\n{on_bus}{left}\n[actuator.right]\n{on_bus}{right}\n"
+        + f"[{kind}.left]\n{on_bus}{left}\n[{kind}.right]\n{on_bus}{right}\n"
     )
     found = config.check(path).findings
     return [each.message for each in found if each.severity == "error"]
+
+
+@pytest.mark.parametrize("part", ["mpu6050", "bme280"])
+def test_one_chip_has_one_sensor(tmp_path, part) -> None:
+    """Each would set it up for itself, and read what the other has set up."""
+    told = f'driver = "{part}"'
+    (message,) = mistakes(tmp_path, I2C, told, told, kind="sensor")
+
+    assert "the chip 0x" in message
 
 
 @pytest.mark.parametrize(("bus", "part", "told"), SAME)

@@ -186,6 +186,7 @@ class Bme280(OnChip, Sensor[Climate]):
         self, *, address: int = ADDRESS, **settings: Unpack[_Settings]
     ) -> None:
         super().__init__(address=address, **settings)
+        self.claim: str = f"the chip {address:#04x}"
         self._calibration: Calibration | None = None
         self._told = 1, 0
         """What it was told: how many samples, and how smoothly, as its codes."""

@@ -124,6 +124,7 @@ class Mpu6050(OnChip, Sensor[Motion]):
         self, *, address: int = ADDRESS, **settings: Unpack[_Settings]
     ) -> None:
         super().__init__(address=address, **settings)
+        self.claim: str = f"the chip {address:#04x}"
         self._gyro_step = self._accel_step = 0
         self._quiet = asyncio.Lock()  # while its ranges change
 
