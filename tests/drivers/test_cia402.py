@@ -178,6 +178,19 @@ async def test_the_watchdogs_frames_stop_it(wire: FakeCan, far: FakeDrive) -> No
         assert (far.velocity, state_of(far)) == (0, State.DISABLED)
 
 
+@pytest.mark.parametrize(("one", "other"), [(0.02, 1.0), (1.0, 0.02)])
+async def test_a_drive_tells_as_often_as_any_needs_it(
+    wire: FakeCan, far: FakeDrive, one: float, other: float
+) -> None:
+    """Whoever needs it more often would find it silent."""
+    drive = made(Drive, wire, name="drive", tell_every=one)
+    state = made(DriveState, wire, name="state", tell_every=other)
+    async with esair.Robot(resources=[drive, state]) as robot:
+        await asyncio.sleep(5.0)
+        losses = [robot.resources.query(name).losses for name in ("drive", "state")]
+        assert losses == [0, 0]
+
+
 @pytest.mark.promise("SC-3")
 async def test_half_a_reading_is_silence(wire: FakeCan, far: FakeDrive) -> None:
     """Its second PDO comes no more, though the first one does."""

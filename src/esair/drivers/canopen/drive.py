@@ -286,10 +286,12 @@ class OnDrive(OnNode):
         self._prepare(remote)
 
     def _prepare(self, remote: Any) -> None:
+        users = tuple(self._connected().users)  # the quickest of them is what all have
+        every = min(each.tell_every for each in users if isinstance(each, OnDrive))
         for number, mapped in enumerate(TOLD, 1):
             pdo = remote.tpdo[number]
             pdo.rtr_allowed = False
-            pdo.event_timer = round(self.tell_every * 1000) if self.sync is None else 0
+            pdo.event_timer = round(every * 1000) if self.sync is None else 0
             self._map(pdo, mapped)
         self._is_prepared = True
 
