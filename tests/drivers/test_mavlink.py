@@ -152,6 +152,21 @@ async def test_how_often_a_message_comes_is_told_again() -> None:
         assert robot.resources.query("yaw").losses == 0
 
 
+async def test_a_message_comes_as_often_as_any_needs_it() -> None:
+    """Several values of one message are sensors of their own."""
+    line = FakeSerial(framing="mavlink")
+    vehicle = FakeVehicle(line)
+    yaw, roll = (
+        MavlinkSensor(message="ATTITUDE", value=v, period=p, name=v, bus=line)
+        for v, p in (("yaw", 0.1), ("roll", 1.0))
+    )
+    async with opened(yaw, roll):
+        assert vehicle.heard["COMMAND_LONG"].param2 == 0.1e6
+        await yaw.close()
+        await roll.open()
+        assert vehicle.heard["COMMAND_LONG"].param2 == 1e6
+
+
 async def test_a_place_of_nought_is_none() -> None:
     """ArduPilot tells it until it knows where it is."""
     line = FakeSerial(framing="mavlink")

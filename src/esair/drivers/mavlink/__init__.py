@@ -222,6 +222,8 @@ class _Talk:
         self._framing = framing
         self._mav = framing.dialect.MAVLink(None, *STATION)
         self._is_old = framing.version == 1
+        self.sensors: set[MavlinkSensor] = set()
+        """Those that are open, and read its messages."""
 
     def number(self, message: str) -> int | None:
         """Return the number of a message."""
@@ -323,12 +325,13 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
         value: The field that is read of another message, such as ``"voltage_battery"``.
         scale: What that is multiplied with: 0.001 for mV.
         period: From one to the next, in seconds: the vehicle is told so at each opening,
-            and every 5 s. As it likes if None. A reading is current for three of them, or for
-            ``silent_after``.
+            and every 5 s; the least of those who read the message. As it likes if
+            None. A reading is current for three of them, or for ``silent_after``.
         silent_after: After how many seconds without one the vehicle is lost.
         system: The number of the vehicle.
 
     Attributes:
+        every: How often it needs the message, in seconds; as it comes if None.
         unknown: How many messages said that the vehicle does not know.
     """
 
@@ -363,7 +366,7 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
         self.silent_after: float = check_seconds(
             self.name, "silent_after", silent_after
         )
-        self._every = period
+        self.every = period
         self.period = self.silent_after
         if period is not None:  # one that comes late is no silence
             self.period = 3 * check_seconds(self.name, "period", period)
@@ -377,11 +380,19 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
 
     async def open(self) -> None:
         """Ask for the message, and wait for the first one."""
+        self._talk.sensors.add(self)
         await self._ask_for_it()
         await self._first(self.message, self.silent_after)
 
+    async def close(self) -> None:
+        """Need the message no more."""
+        self._talk.sensors.discard(self)
+
     async def _ask_for_it(self) -> None:
-        if self._every is not None:
+        """Tell the vehicle how often all who read the message need it."""
+        kind = self.system, self.message
+        alike = [s for s in self._talk.sensors if (s.system, s.message) == kind]
+        if self.every is not None:
             await self.bus.send(
                 self._talk.payload(
                     "COMMAND_LONG",
@@ -390,7 +401,7 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
                     command=511,  # MAV_CMD_SET_MESSAGE_INTERVAL
                     confirmation=0,
                     param1=self._talk.number(self.message),
-                    param2=self._every * 1e6,
+                    param2=min(s.every for s in alike if s.every) * 1e6,
                     **{f"param{n}": 0.0 for n in range(3, 8)},
                 )
             )
