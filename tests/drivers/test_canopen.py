@@ -367,6 +367,21 @@ async def test_another_device_with_that_id_is_refused(rig: Any, subindex: int) -
     await wire.close()
 
 
+@pytest.mark.promise("BUS-4")
+async def test_who_joins_a_node_has_the_heartbeat_that_it_needs(rig: Any) -> None:
+    """Though the node is open already, for a device that needs none."""
+    wire, node = rig()
+    motor, place = actuator(wire, name="motor"), sensor(wire, name="at", heartbeat=0.05)
+    async with esair.Robot(resources=[motor]) as robot:
+        await asyncio.sleep(0.5)
+        await robot.resources.add(place)
+        await asyncio.sleep(0.5)
+        node.stop()
+        await asyncio.sleep(0.2)
+        states = [robot.resources.query(name).state for name in ("motor", "at")]
+        assert esair.ResourceState.READY not in states
+
+
 @pytest.mark.fault("D03", "D04")
 @pytest.mark.parametrize("what", ["silence", "restart"])
 async def test_the_heartbeat_tells_the_loss_of_a_node(rig: Any, what: str) -> None:

@@ -227,7 +227,8 @@ class Node:
         self._pump: asyncio.Task[None] | None = None
         loop = asyncio.get_running_loop()
         self._watch = Deadlines.beside(loop).idle(self._is_silent)
-        self._patience = 0.0
+        self._period = 0.0
+        """From one heartbeat to the next, in seconds; 0 if there are none."""
         self._emergency: Emergency | None = None
 
     @property
@@ -239,6 +240,10 @@ class Node:
         """Find the node, compare its identity, start it safely, and watch its heartbeat."""
         async with self.opening:
             if self._is_open:
+                wanted = device.heartbeat
+                if wanted is not None and not 0 < self._period <= wanted:
+                    self._period = await self.call(device, self._set_heartbeat, wanted)
+                    self._arm_watch()
                 return
             if not self.usable:
                 raise DeviceLostError(device.name, f"node {self.number} is not there")
@@ -254,7 +259,7 @@ class Node:
                 self._take(self._inbox), name=f"{self.bus.name} node {self.number}"
             )
             try:
-                period = await self.call(
+                self._period = await self.call(
                     device, self._begin, device.dictionary, device.heartbeat
                 )
                 await self.call(device, self._start, tuple(self.users))
@@ -265,7 +270,6 @@ class Node:
             except BaseException:
                 self.usable = False
                 raise
-            self._patience = HEARTBEATS_MISSED * period
             self._is_open = True
             self._arm_watch()
 
@@ -324,6 +328,11 @@ class Node:
                         f"its {what} is {found:#x} instead of {wanted:#x}: "
                         "another device, or another EDS file",
                     )
+        return self._set_heartbeat(heartbeat)
+
+    def _set_heartbeat(self, heartbeat: float | None) -> float:
+        """Have it beat, in the thread; returns its heartbeat period in seconds."""
+        sdo = self.remote.sdo
         if heartbeat is not None:
             milliseconds = round(heartbeat * 1000)
             sdo.download(HEARTBEAT_TIME, 0, milliseconds.to_bytes(2, "little"))
@@ -379,14 +388,15 @@ class Node:
 
     def _arm_watch(self) -> None:
         self._watch.cancel()
-        if self._patience > 0.0 and self.usable:
-            self._watch.start(asyncio.get_running_loop().time() + self._patience)
+        if self._period > 0.0 and self.usable:
+            patience = HEARTBEATS_MISSED * self._period
+            self._watch.start(asyncio.get_running_loop().time() + patience)
 
     def _is_silent(self) -> None:
         if self._inbox:  # this computer was held up, and has not looked yet
             self._arm_watch()
         else:
-            self._lost(f"no heartbeat for {self._patience:g} s")
+            self._lost(f"no heartbeat for {HEARTBEATS_MISSED * self._period:g} s")
 
     def _lost(self, why: str) -> None:
         self.usable = False
