@@ -159,6 +159,23 @@ async def test_all_outputs_of_a_unit_notice_that_it_has_restarted() -> None:
         assert unit.controlled == {1: b"\0", 2: b"\0"}
 
 
+async def test_a_unit_has_one_session() -> None:
+    """Two devices that want different ones would take it from each other for ever."""
+    can = FakeCan()
+    FakeUnit(can, {2: b"\0", 3: b"\0"})
+    parts = [
+        UdsActuator(name=f"s{n}", identifier=n, layout="B", safe=0, session=n, bus=can)
+        for n in (2, 3)
+    ]
+    for part in parts:
+        part.required = False
+    async with esair.Robot(resources=parts) as robot:
+        await asyncio.sleep(60.0)
+        found = [robot.resources.query(part.name) for part in parts]
+        assert sorted(each.state.name for each in found) == ["FAILED", "READY"]
+        assert any("a unit has one" in str(each.error) for each in found)
+
+
 @pytest.mark.promise("BUS-3")
 async def test_an_answer_that_takes_longer_is_nobody_elses() -> None:
     """Whoever asked for it has gone meanwhile: what comes then is old."""

@@ -92,7 +92,7 @@ class _Present(SharedTask):
     """Tells a unit that its tester is there."""
 
     @property
-    def users(self) -> tuple[Resource, ...]:
+    def users(self) -> tuple[UdsActuator, ...]:
         """Whose session it keeps alive."""
         return tuple(self._users)
 
@@ -279,12 +279,20 @@ class UdsActuator(_OnUnit, Actuator[float]):
     async def open(self) -> None:
         """Open the session, and keep it alive."""
         self._link.join(self.bus, self)
+        self._check_session()
         if self._present.users:
             await self.is_set_up()  # afterwards nobody sees that it was gone
         await self._ask(
             services.DiagnosticSessionControl, b"", subfunction=self.session
         )
         self._present.begin(self, lambda: self._present.run(self.bus, self._link))
+        self._check_session()  # another may have been opened at the same time
+
+    def _check_session(self) -> None:
+        for user in self._present.users:
+            if user.session != self.session:
+                told = f"expected {user.session} as for {user.name!r}: a unit has one"
+                raise ConfigError(self.name, "session", told)
 
     async def close(self) -> None:
         """Give the output back to the unit, if that still answers."""
