@@ -417,7 +417,6 @@ class BehaviorDeployment:
     def essential_failed(self, failed: BehaviorFailedError) -> None:
         """End the robot: one has failed that it cannot do without."""
         self.fatal = self.fatal or failed
-        wake(self._all_ended)
         stop = self.stop_robot(f"{failed.behavior} is essential, and has failed")
         loop = asyncio.get_running_loop()
         self.ends = spawn(loop, stop, name="end of the robot")  # type: ignore[arg-type]
