@@ -140,10 +140,11 @@ def test_what_shuts_the_gate_comes_in_one_order() -> None:
             if not (usable or operates):
                 expected.insert(0, "void")
             expected.append("held by other")
-        found = verdict(gate, held, by, NOW, ASKED, operates=operates)
+        terms = {"operates": True} if operates else {}
+        found = verdict(gate, held, by, NOW, ASKED, **terms)
         assert said(found) == (expected[0] if expected else ""), expected
         if asked_now := [each for each in expected if each != "before"]:
-            found = verdict(gate, held, by, NOW, operates=operates)
+            found = verdict(gate, held, by, NOW, **terms)
             assert said(found) == asked_now[0]
         count += 1
     assert count == 48 * 16

@@ -982,3 +982,28 @@ async def test_modes_that_end_at_once_follow_each_other_in_good_time(
         await asyncio.sleep(2.6)
     assert [each.component for each in heard[:4]] == ["two", "one", "two", "one"]
     assert len(heard) <= 12
+
+
+@pytest.mark.promise("MODE-2")
+async def test_what_shall_replace_one_that_rests_by_now_does_not_run() -> None:
+    """Its set-up took longer than its turn: the old one rests, and stays."""
+    ran: list[str] = []
+
+    class Late(esair.Behavior):
+        async def setup(self) -> None:
+            await asyncio.sleep(0.5)
+
+        async def run(self) -> None:
+            ran.append(self.name)
+
+    old = esair.Behavior(name="a")
+    modes = {"one": esair.Mode(["a"]), "two": esair.Mode([])}
+    async with esair.Robot(behaviors=[old], modes=modes, mode="one") as robot:
+        replacing = asyncio.ensure_future(robot.behaviors.replace("a", Late(name="a")))
+        await asyncio.sleep(0.1)
+        await robot.behaviors.switch("two")
+        with pytest.raises(esair.BehaviorRemovedError):
+            await replacing
+        assert robot.behaviors.action("a") is old
+        assert robot.behaviors.query("a").state is esair.BehaviorState.RESTING
+    assert ran == []

@@ -336,3 +336,19 @@ async def test_silence_that_a_task_of_its_own_meets_is_silence() -> None:
         await asyncio.sleep(0.7)
         status = robot.behaviors.query("group")
         assert (status.state, status.detail) == (State.PARKED, "sonar is silent")
+
+
+@pytest.mark.promise("BS-4", "BS-10")
+async def test_who_waits_for_one_that_is_parked_hears_that_it_has_failed() -> None:
+    """Not at the end of the interval: who knows when the sensor is back."""
+    device, sonar = wheels(), FakeSensor("sonar", 1.0, rate=20.0)
+    asks = esair.Behavior(name="asks")
+    actors = [Watch(), asks]
+    async with esair.Robot(resources=[device, sonar], behaviors=actors) as robot:
+        getting = asyncio.ensure_future(asks.get("watch", interval=60.0))
+        await asyncio.sleep(0.5)
+        sonar.unplug()
+        async with asyncio.timeout(1.0):
+            with pytest.raises(esair.BehaviorFailedError, match="sonar"):
+                await getting
+        assert robot.behaviors.query("watch").state is State.PARKED
