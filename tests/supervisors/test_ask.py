@@ -1159,3 +1159,27 @@ async def test_a_request_that_did_not_reach_who_took_it_is_the_first_again(
             request.answer(Docked(request.bay))
         assert bays == [0, 1][given_up:]
         assert await asks[1] == Docked(1)
+
+
+@pytest.mark.promise("BS-11")
+async def test_a_worker_that_went_on_when_it_was_cancelled_loses_one_request_only() -> (
+    None
+):
+    """What a withdrawal cancels is the body, whatever the worker was told before."""
+
+    class Went(Docking):
+        async def run(self) -> None:
+            task = asyncio.current_task()
+            assert task is not None
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await asyncio.sleep(0)
+            await super().run()
+
+    docking, captain = Went(name="docking"), Idle(name="captain")
+    async with esair.Robot(behaviors=[docking, captain]) as robot:
+        with pytest.raises(esair.BehaviorUnavailableError):
+            await captain.ask("docking", Dock(1), timeout=0.5)
+        assert await captain.ask("docking", Dock(2), timeout=5.0) == Docked(2)
+        assert docking.cut == [1]
+        assert robot.behaviors.query("docking").restarts == 0
