@@ -184,3 +184,24 @@ async def test_a_replacement_was_tried_when_the_command_returns() -> None:
     async with esair.Robot(resources=[Slow()]) as robot:
         await robot.resources.replace("motor", Late())
         assert robot.resources.query("motor").state is esair.ResourceState.READY
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("ROB-2", "SUP-1")
+async def test_a_stop_amid_a_replacement_lets_the_old_device_be_closed() -> None:
+    """What goes away goes to its end, though nothing takes its place any more."""
+    closed: list[str] = []
+
+    class Closes(Slow):
+        async def close(self) -> None:
+            await asyncio.sleep(0.3)
+            closed.append(self.name)
+
+    async with esair.Robot(resources=[Closes()]) as robot:
+        replacing = asyncio.ensure_future(robot.resources.replace("motor", Slow()))
+        await asyncio.sleep(0.1)
+        assert closed == []
+        await robot.stop("amid it")
+        assert closed == ["motor"]
+        with pytest.raises(esair.StoppingError):
+            await replacing
