@@ -268,6 +268,14 @@ class TakesApart(esair.Behavior):
         await asyncio.sleep(1e6)
 
 
+class Tells(esair.Behavior):
+    """Where another Python that it begins would look for modules."""
+
+    async def run(self) -> None:
+        self.offer(os.environ.get("PYTHONPATH"), latest=True)
+        await asyncio.sleep(1e6)
+
+
 class Complains(esair.Behavior):
     """Fails with all that it has read."""
 

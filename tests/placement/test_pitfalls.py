@@ -29,6 +29,7 @@ from tests.placement.pitfalls import (
     Receives,
     Sees,
     TakesApart,
+    Tells,
     Threads,
     Twice,
     Wants,
@@ -246,6 +247,15 @@ async def test_programs_that_a_component_has_begun_end_with_it() -> None:
         assert all(map(lives, pids))
 
     await until(lambda: not any(map(lives, pids)), within=2.0)
+
+
+@pytest.mark.promise("PLC-1")
+async def test_another_python_is_not_told_where_modules_are() -> None:
+    """That a component begins: it has modules of its own, of another version."""
+    async with esair.Robot(behaviors=[placed(Tells(), "process")]) as robot:
+        await until(lambda: robot.behaviors.query("tells").can_send)
+        found = await robot.behaviors.get(sender="tells", receiver="user")
+    assert found == os.environ.get("PYTHONPATH")
 
 
 @pytest.mark.promise("PLC-1", "PLC-6")

@@ -28,6 +28,12 @@ _PDEATHSIG: Final = 1  # PR_SET_PDEATHSIG
 _PATIENCE: Final = 0.5
 """How long a child has to end that nobody speaks with any more, in seconds."""
 
+_PROGRAM: Final = """import sys
+sys.path[:] = {!a}
+from esair.placement._nursery import main
+main()
+"""  # the path is no variable of the environment: what a component begins would have it
+
 _libc = ctypes.CDLL(None, use_errno=True)
 _lock = threading.Lock()
 
@@ -59,8 +65,8 @@ class Nursery:
             self._process = subprocess.Popen(
                 [
                     sys.executable,
-                    *_flags(),
-                    *("-P", "-m", "esair.placement._nursery"),
+                    *subprocess._args_from_interpreter_flags(),  # type: ignore[attr-defined]  # noqa: SLF001 - as multiprocessing does
+                    *("-P", "-c", _PROGRAM.format(import_path())),
                     str(os.getpid()),
                     *(each for each in sys.modules if each.startswith("esair.")),
                 ],
@@ -69,10 +75,6 @@ class Nursery:
                 stdout=None if sys.__stdout__ else subprocess.DEVNULL,
                 stderr=None if sys.__stderr__ else subprocess.DEVNULL,
                 start_new_session=True,  # Ctrl-C is the robot's
-                env={
-                    **os.environ,
-                    "PYTHONPATH": os.pathsep.join(filter(None, import_path())),
-                },
             )
         except BaseException:
             mine.close()
@@ -152,12 +154,6 @@ class Nursery:
 def import_path() -> list[str]:
     """Return where modules are found; Python passes over a `Path` that somebody added."""
     return [each for each in sys.path if isinstance(each, str)]
-
-
-def _flags() -> list[str]:
-    """Return with which flags Python runs; what they hide of the path is given anew."""
-    flags = subprocess._args_from_interpreter_flags()  # type: ignore[attr-defined] # noqa: SLF001 - as multiprocessing does
-    return [each for each in flags if each not in {"-I", "-E"}]
 
 
 def told_end(code: int | None) -> str:
@@ -334,7 +330,3 @@ def end_group(pid: int) -> None:
 def _kill(pidfd: int) -> None:
     with contextlib.suppress(OSError):
         signal.pidfd_send_signal(pidfd, signal.SIGKILL)
-
-
-if __name__ == "__main__":
-    main()
