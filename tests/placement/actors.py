@@ -405,6 +405,22 @@ class Values(esair.Sensor[float]):
         return "zeroed"
 
 
+class Opens(Values):
+    """Tells with which gain it was opened, in its own device."""
+
+    opened = 0.0
+
+    async def open(self) -> None:
+        self.opened = self.gain
+
+    async def read(self) -> float:
+        return self.opened
+
+    @esair.operation
+    async def unplug(self) -> None:
+        self.report_lost(ConnectionError("unplugged"))
+
+
 LEAVES: Final = {"exit": SystemExit(3), "cancel": asyncio.CancelledError()}
 
 

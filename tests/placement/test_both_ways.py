@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import random
 from collections.abc import Callable
 from typing import Any
@@ -18,6 +19,7 @@ from tests.placement.actors import (
     Gets,
     Gives,
     Leaves,
+    Opens,
     PlainGets,
     PlainLeaves,
     Pushed,
@@ -549,6 +551,25 @@ async def test_a_sensor_is_read_set_and_operated(place: Place, kind: Any) -> Non
             await robot.resources.configure(registered, gain=3.0)
             assert robot.resources.get("eye").gain == 3.0
             assert await robot.resources.operate(registered, "zero") == "zeroed"
+
+
+@pytest.mark.promise("PLC-1", "RES-4")
+async def test_a_device_is_opened_again_with_its_settings(place: Place) -> None:
+    """With those that it has by now, and not with those that it began with."""
+    right = esair.Access.READ | esair.Access.CONFIGURE
+    rule = esair.Policy("eye", allow={"user": right})
+    eye = place(Opens(name="eye", rate=20.0))
+    async with World(Waits(), resources=[eye], policies=[rule]) as world:
+        robot = world.robot
+        registered = await robot.resources.register("user", "eye", right)
+        first = await robot.sensors.read(registered, fresh=True, timeout=5.0)
+        await robot.resources.configure(registered, gain=3.0)
+        with contextlib.suppress(esair.DeviceLostError):  # or it has answered before
+            await robot.resources.operate(registered, "unplug")
+        await world.until(lambda: robot.resources.query("eye").losses == 1)
+        await world.until(lambda: robot.resources.query("eye").state.value == "ready")
+        again = await robot.sensors.read(registered, fresh=True, timeout=5.0)
+        assert (first.value, again.value) == (1.0, 3.0)
 
 
 @pytest.mark.promise("PLC-1", "PLC-3")

@@ -384,9 +384,11 @@ class Child(Exchange):
         with contextlib.suppress(OSError), open("/proc/self/comm", "w") as comm:
             comm.write(f"esair {self.name}"[:15])
 
-    def _make(self, recipe: dict[str, Any]) -> None:
+    def _make(self, recipe: dict[str, Any], settings: dict[str, Any]) -> None:
         made = adapt_action(adapt_resource(make(recipe, find(recipe))))
         made._name = recipe["name"]  # noqa: SLF001 - as the robot calls it
+        for name, value in settings.items():  # as it was configured since
+            setattr(made, name, value)
         _KINDS.declare(type(inner_of(made)))
         self.component = made
         if isinstance(made, Behavior):

@@ -181,7 +181,9 @@ class Seat:
             "level": logging.getLogger().getEffectiveLevel(),
         }
         process.call("settle", (settled,), self._settled)
-        process.call("make", (self._recipe,), self._settled)
+        is_device = isinstance(self.component, Resource)
+        settings = dict(self.component.settings) if is_device else {}
+        process.call("make", (self._recipe, settings), self._settled)
 
     def _settled(self, _value: Any, error: BaseException | None) -> None:
         """What could not be made answers every call with why."""
