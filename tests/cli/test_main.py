@@ -189,7 +189,12 @@ def test_a_closed_input_is_no_terminal(start, tmp_path) -> None:
 def test_no_halt_fails_for_its_reason(esair_command, monkeypatch, reason) -> None:
     """One that begins as an option does, or an option that is typed wrongly, is one."""
     told = []
-    monkeypatch.setattr(_steer, "_do", lambda *act: told.append(act) or 0)
+
+    def do(*act: object) -> int:
+        told.append(act)
+        return 0
+
+    monkeypatch.setattr(_steer, "_do", do)
 
     assert esair_command("stop", *reason.split()) == 0
     assert told == [(None, "stop", {"reason": reason}, None)]
