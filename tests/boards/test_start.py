@@ -10,6 +10,7 @@ from tests.minimal import rules
 from esair.boards import link, stand_in
 from esair.boards.start import Start
 from esair.drivers.board import wire
+from esair.firmware._starter import starter
 from esair.minimal import Loop
 
 pytestmark = pytest.mark.promise("MIN-5")
@@ -146,3 +147,19 @@ def test_a_part_that_browned_out_is_set_up_again(pins) -> None:
     assert motor.opened == 2
     assert start.repaired == 1
     assert motor.told == [0.0, 0.0]
+
+
+def test_a_full_flash_memory_keeps_no_program_off(pins, tmp_path, monkeypatch) -> None:
+    """Its starts cannot be counted then; it runs all the same."""
+    (tmp_path / "esair-a").mkdir()
+    (tmp_path / "esair-a" / "main.py").write_text("ran = True")
+    (tmp_path / "esair.starts").symlink_to("/dev/full")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.delitem(sys.modules, "main", raising=False)
+    board: dict[str, object] = {}
+
+    exec(starter("esair-a"), board)
+
+    assert board["_esair"] == "ended"
+    assert sys.modules.pop("main").ran

@@ -49,8 +49,11 @@ def _start():
         _forgotten("{room}")
         print("esair: prompt, " + ("three quick starts" if quick > 2 else "room is made"))
         return "{prompt}"
-    with open("{starts}", "a") as file:
-        file.write("x")
+    try:
+        with open("{starts}", "a") as file:
+            file.write("x")
+    except OSError:  # no room: what runs without a count is better than nothing
+        pass
     # Nothing beside the program's own folder can be a part of it.
     others = [each for each in sys.path if each not in ("", os.getcwd())]
     sys.path[:] = ["{slot}"] + others
