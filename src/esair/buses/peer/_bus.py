@@ -200,6 +200,7 @@ class PeerBus(Bus):
         while True:
             self._beats += 1
             self._sent.append(loop.time())
+            self._pause *= 0.97
             self.say("beat")
             silent = loop.time() - self.heard_at
             if self._alive.is_set() and silent > SILENCE:
@@ -471,14 +472,13 @@ class PeerBus(Bus):
             self._later.pop(sensor, None)
             now = self._told_at = asyncio.get_running_loop().time()
             self.told_at[sensor] = now
-            self._pause *= 0.8
             self.say("reading", sensor, max(0.0, float(now - at)), value)
 
     def _is_slow(self) -> bool:
         """Tell whether readings wait: an echo takes longer than the way itself.
 
-        Each time that begins they are said half as often, and then a little more often with
-        each. What is slow though none was said for a second is the way. While the peer
+        Each time that begins they are said half as often, and then more often with each
+        beat. What is slow though none was said for a second is the way. While the peer
         says all on several ways, what it hears comes as often: they are said seldom.
         """
         now = asyncio.get_running_loop().time()
