@@ -539,6 +539,10 @@ async def test_only_who_wants_a_fresh_value_has_the_sources_asked() -> None:
         asked = (left.reads, right.reads)
         await robot.sensors.read(mine)
         assert (left.reads, right.reads) == asked
+        await asyncio.sleep(0.1)
+        with pytest.raises(esair.StaleReadingError):
+            await robot.sensors.read(mine, max_age=0.05, timeout=0.1)
+        assert (left.reads, right.reads) == asked
         right.stall()
         await robot.sensors.read(mine, fresh=True, timeout=0.1)
         assert (left.reads, right.reads) == (asked[0] + 1, asked[1])

@@ -127,3 +127,34 @@ def test_any_order_of_components_gives_the_same(request: pytest.FixtureRequest) 
         if any(worlds.play(seed, order) != told for order in orders):
             differ.append(seed)
     assert differ == []
+
+
+@pytest.mark.promise("PRO-1", "TURN-2")
+async def test_who_gives_back_later_leaves_it_to_who_is_blind() -> None:
+    """Also after a turn in which several have decided: the last of it was another."""
+
+    class Steps(esair.Reaction):
+        rate = 20.0
+
+        def __init__(self, name: str, priority: int, commands: list[float]) -> None:
+            writes = {"motor": esair.writes(float, priority=priority, blind="release")}
+            super().__init__(name=name, writes=writes)
+            self.commands = commands
+
+        def react(self) -> float | None:
+            return self.commands.pop(0) if self.commands else None
+
+    class Blind(esair.Reaction):
+        sonar = esair.reads(float)
+        motor = esair.writes(float)
+
+        def react(self, sonar: float) -> float | None:
+            return None
+
+    sonar, motor = FakeSensor("sonar", 1.0, rate=20.0), FakeActuator("motor", safe=0.0)
+    motor.command_timeout = 9.0
+    sonar.unplug()
+    steps = [Steps("high", 5, [2.0] * 20), Steps("mid", 4, [1.0] * 10)]
+    async with esair.Robot(resources=[sonar, motor], behaviors=[*steps, Blind()]):
+        await motor.until(2.0, timeout=2.0)
+        await motor.until(0.0, timeout=1.5)
