@@ -1007,3 +1007,20 @@ async def test_what_shall_replace_one_that_rests_by_now_does_not_run() -> None:
         assert robot.behaviors.action("a") is old
         assert robot.behaviors.query("a").state is esair.BehaviorState.RESTING
     assert ran == []
+
+
+@pytest.mark.promise("MODE-3")
+async def test_a_mode_without_a_behavior_of_its_own_lasts_until_it_is_switched() -> (
+    None
+):
+    """Whoever is in no mode has ended; the robot has not."""
+
+    class Ends(esair.Behavior):
+        async def run(self) -> None:
+            await asyncio.sleep(0.1)
+
+    ends, goes = Ends(), esair.Behavior(name="goes")
+    modes = {"rest": esair.Mode([]), "go": esair.Mode(["goes"])}
+    async with esair.Robot(behaviors=[ends, goes], modes=modes, mode="rest") as robot:
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(robot.ended(), 5.0)

@@ -895,3 +895,27 @@ async def test_those_that_wait_hear_at_once_that_the_device_was_replaced() -> No
             told = await asyncio.gather(*waiting, return_exceptions=True)
 
     assert [type(each) for each in told[2:]] == [esair.DeviceLostError] * 2
+
+
+@pytest.mark.promise("PRO-12")
+async def test_one_that_a_higher_priority_ends_goes_to_no_safe_place() -> None:
+    """It stays where it is, until what was written is sent."""
+
+    class Far(Lift):
+        safe_moves = True
+
+    lift = Far(name="lift")
+    low: Any = esair.Behavior(
+        name="low", writes={"lift": esair.writes(float, configure=True)}
+    )
+    high: Any = esair.Behavior(
+        name="high", writes={"lift": esair.writes(float, priority=5)}
+    )
+    async with esair.Robot(resources=[lift], behaviors=[low, high]):
+        homing = asyncio.ensure_future(low.lift.operate("home"))
+        await asyncio.sleep(0.1)
+        began = len(lift.did)
+        assert await high.lift.write(0.5)
+        assert lift.did[began:] == ["home ended", esair.HOLD, 0.5]
+        with pytest.raises(esair.AccessDeniedError):
+            await homing
