@@ -44,11 +44,6 @@ FAULTS = {
     for number in range(1, count + 1)
 }
 
-EXCLUDED = {
-    "P05": "lines of the log have no limit of their own: who hears them has (P02, SEC-1)",
-}
-"""Faults without a test, and why."""
-
 
 @functools.cache
 def calls(path: Path) -> list[ast.Call]:
@@ -101,14 +96,11 @@ def test_every_promise_has_a_test() -> None:
     assert not stale, f"not yet, but there is a test: {', '.join(stale)}"
 
 
-def test_every_fault_has_a_test_or_a_reason() -> None:
-    """No fault is forgotten, and no reason outlives its cause."""
-    proved = {each for each, _ in marks("fault", files())}
+def test_every_fault_has_a_test() -> None:
+    """No fault is forgotten."""
+    missing = sorted(FAULTS - {each for each, _ in marks("fault", files())})
 
-    missing = sorted(FAULTS - proved - EXCLUDED.keys())
     assert not missing, f"faults without a test: {', '.join(missing)}"
-    stale = sorted(EXCLUDED.keys() & proved | EXCLUDED.keys() - FAULTS)
-    assert not stale, f"excluded, but there is a test: {', '.join(stale)}"
 
 
 @pytest.mark.parametrize(("kind", "known"), [("promise", PROMISES), ("fault", FAULTS)])

@@ -376,6 +376,7 @@ async def test_who_joins_a_node_has_the_heartbeat_that_it_needs(rig: Any) -> Non
         await asyncio.sleep(0.5)
         await robot.resources.add(place)
         await asyncio.sleep(0.5)
+        motor.sdo_timeout = place.sdo_timeout = 0.02
         node.stop()
         await asyncio.sleep(0.2)
         states = [robot.resources.query(name).state for name in ("motor", "at")]

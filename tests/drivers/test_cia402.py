@@ -379,6 +379,7 @@ async def test_a_drive_that_tells_nothing_more_is_lost(
     user = esair.Behavior(name="user", reads={"state": esair.reads(Any)}, writes={})
     async with esair.Robot(resources=[state], behaviors=[user]) as robot:
         reading = await user.state.reading(fresh=True)
+        state.sdo_timeout = 0.02
         far.stop()
         for _ in range(10):
             await asyncio.sleep(0.02)
