@@ -300,6 +300,16 @@ class NoReaction(Drive):
         return 1.0
 
 
+class AnswersReact(esair.Behavior):
+    @esair.answers
+    async def react(self, request: Order) -> int:
+        return 1
+
+
+class ReadsReact(esair.Behavior):
+    react = esair.reads(float, name="sonar")
+
+
 class NotCalled(esair.Behavior):
     wheels = esair.writes
 

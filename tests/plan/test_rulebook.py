@@ -338,9 +338,12 @@ async def test_replace_refuses_the_same(case: Case) -> None:
         assert "old" in supervisor.names()
 
 
-@pytest.mark.parametrize("sound", [parts.Annotated, parts.Unresolved])
+@pytest.mark.parametrize(
+    "sound",
+    [parts.Annotated, parts.Unresolved, parts.AnswersReact, parts.ReadsReact],
+)
 def test_what_fits_is_no_mistake(sound: type) -> None:
-    """A reading, a value or nothing, and what only a type checker can see."""
+    """A reading, a value or nothing, what only a type checker can see, any name."""
     plan = Plan(resources=[parts.Sonar(), parts.Wheels()], behaviors=[sound()])
 
     assert errors_in(examine(plan)) == []

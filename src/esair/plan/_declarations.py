@@ -304,7 +304,9 @@ def _in_action(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:
         of = type(action)
         own = [f for f in _BEHAVIOR if getattr(of, f) is not getattr(Behavior, f)]
         yield from _wrong_methods(action, own)
-        if hasattr(of, "react") and of.run in {Behavior.run, ThreadBehavior.run}:
+        is_inherited = of.run is Behavior.run or of.run is ThreadBehavior.run
+        is_step = inspect.isfunction(getattr(of, "react", None))
+        if is_step and is_inherited and "react" not in declared_requests(of):
             yield "react", "it never runs: derive from esair.Reaction, or write run"
         if isinstance(action, ThreadBehavior) and inspect.iscoroutinefunction(of.run):
             yield "run", "expected a plain function, not async: it runs in a thread"
