@@ -675,6 +675,9 @@ async def test_what_json_has_no_word_for_is_given_as_in_a_robots_file(rover, raw
         assert "'slow', 'quick'" in wrong["error"]["text"]
         await client.do("5", "set", setting="lift.code", value=5678)
         assert lift.code == "5678"
+        wrong = await client.do("6", "set", setting="lift.code", value=1.1)
+        assert "expected" in wrong["error"]["text"]
+        assert lift.code == "5678"
 
 
 @attrs.frozen

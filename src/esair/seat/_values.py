@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import numbers
 from collections.abc import Mapping, Sized
@@ -34,10 +33,10 @@ def typed(value: Any, kind: Any, component: str, field: str) -> Any:
 def fitted(value: Any, kind: Any, component: str, field: str) -> Any:
     """Return a value of JSON as a type that JSON does not have, any other as it is.
 
-    A text may have been typed as a number: 5678.
+    A text may have been typed as digits: 5678. Of 1.10 nobody knows the last one.
     """
-    if kind is str and type(value) in {int, float}:
-        return json.dumps(value)
+    if kind is str and type(value) is int:
+        return str(value)
     is_plain = kind in {float, int, bool, str, type(None)}
     return value if is_plain else typed(value, kind, component, field)
 
