@@ -44,6 +44,15 @@ _steer.connect = lambda robot: Client()
 main(["stop", "--json"])
 """
 
+UNREAD = """
+import os, sys
+reading, writing = os.pipe()
+os.close(reading)
+os.dup2(writing, 1)
+from esair.cli import main
+main(sys.argv[1:])
+"""
+
 FULL = """
 import os, sys
 os.dup2(os.open("/dev/full", os.O_WRONLY), 1)
@@ -207,6 +216,25 @@ def test_who_hears_nothing_still_gets_the_exit_code(start, tmp_path) -> None:
     _, told = process.communicate(timeout=60)
 
     assert (process.returncode, told) == (1, "")
+
+
+@pytest.mark.real_clock
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (["check", "robot.toml"], 0),
+        (["check", "wrong.toml"], 1),
+        pytest.param(["devices"], 0, marks=pytest.mark.long),
+    ],
+)
+def test_what_nobody_reads_leaves_the_exit_code(start, tmp_path, words, code) -> None:
+    """``esair check robot.toml | true`` says whether it has found a mistake."""
+    (tmp_path / "robot.toml").write_text("", "utf-8")
+    (tmp_path / "wrong.toml").write_text("[robot]\nnome = 'a'\n", "utf-8")
+    process = start(*words, cwd=tmp_path, code=UNREAD)
+    _, told = process.communicate(timeout=60)
+
+    assert (process.returncode, told) == (code, "")
 
 
 @pytest.mark.long

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -39,13 +41,16 @@ def check(
     """
     reports = check_together([robot, *peers])
     console = Console(highlight=False)
-    if as_json:
-        told = [to_json(report) for report in reports]
-        shown = json.dumps(told if peers else told[0], indent=2)
-        console.out(shown, highlight=False)
-    else:
-        for each, report in zip((robot, *peers), reports, strict=True):
-            _print(console, each, report)
+    with console.capture() as shown:
+        if as_json:
+            told = [to_json(report) for report in reports]
+            found = json.dumps(told if peers else told[0], indent=2)
+            console.out(found, highlight=False)
+        else:
+            for each, report in zip((robot, *peers), reports, strict=True):
+                _print(console, each, report)
+    with contextlib.suppress(BrokenPipeError):  # the exit code counts all the same
+        sys.stdout.write(shown.get())
     return int(any(each.errors or (strict and each.warnings) for each in reports))
 
 

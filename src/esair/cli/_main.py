@@ -45,6 +45,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.stdout.flush()
     except BrokenPipeError:  # the reader, such as ``head``, has seen enough
         _write_no_more()
+    except SystemExit as end:  # rich has met a reader that has seen enough
+        if not isinstance(end.__context__, BrokenPipeError):
+            raise
     except KeyboardInterrupt:  # before the verb has taken care of it, or once more
         code = INTERRUPTED
     except OSError as error:
