@@ -310,6 +310,10 @@ class ReadsReact(esair.Behavior):
     react = esair.reads(float, name="sonar")
 
 
+class OnlyAnnotated(Drive):
+    speed: esair.writes(float)  # type: ignore[valid-type]
+
+
 class NotCalled(esair.Behavior):
     wheels = esair.writes
 

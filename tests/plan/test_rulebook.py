@@ -195,6 +195,8 @@ CASES = [
          "return it, to keep a value choose another name", "react_hides", "wheels"),
     Case(parts.NoReaction, "it never runs: derive from esair.Reaction, or write run",
          "no_reaction", "react"),
+    Case(parts.OnlyAnnotated, "an annotation declares nothing: write = instead of :",
+         "only_annotated", "speed"),
     Case(parts.NotCalled, "expected esair.writes(...), not the function",
          "not_called", "wheels"),
     Case(parts.AsyncThread, "expected a plain function, not async: it runs in a thread",

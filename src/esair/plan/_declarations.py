@@ -53,6 +53,7 @@ from esair.resources import (
     HOLD,
     Actuator,
     Sensor,
+    Setting,
     flaws_of,
     operations_of,
     setting,
@@ -263,6 +264,9 @@ def _in_class(cls: type[Component]) -> list[tuple[str, str]]:
             for each in makers
             if value is each
         )
+    told = "an annotation declares nothing: write = instead of :"
+    declares = (Reads, Writes, Guards, Takes, Setting)
+    found += ((n, told) for n, h in hints_of(cls).items() if isinstance(h, declares))
     return [*found, *_hidden(cls)]
 
 
