@@ -53,6 +53,7 @@ _PATIENCE = 10
 class Chip:
     """What is known of a chip that several sensors use."""
 
+    loop: asyncio.AbstractEventLoop
     turn: asyncio.Lock = attrs.field(factory=asyncio.Lock)
     under_way: int | None = None
     """The data rate in Hz of a conversion whose end nobody has seen yet."""
@@ -121,14 +122,16 @@ class Ads1115(OnChip, Sensor[float]):
     async def open(self) -> None:
         """Find out whether the chip answers; it needs nothing else."""
         await self._set_up(**self.settings)
-        chip = self._chip()
-        if not chip.turn.locked():
-            chip.turn = asyncio.Lock()  # that from before may be of another loop
         with self._expected():
             await self.bus.read(self.address, CONFIG, 2)
 
     def _chip(self) -> Chip:
-        return shared(self.bus, Chip).setdefault(self.address, Chip())
+        chips, loop = shared(self.bus, Chip), asyncio.get_running_loop()
+        chip = chips.get(self.address)
+        if chip is None or chip.loop is not loop:  # a lock is of one loop
+            before = None if chip is None else chip.under_way
+            chip = chips[self.address] = Chip(loop, under_way=before)
+        return chip
 
     async def _set_up(self, *, full_scale: float, data_rate: int, **_: Any) -> None:
         """Use these settings from the next conversion on."""
