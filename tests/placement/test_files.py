@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -240,3 +241,22 @@ def test_a_program_that_is_in_no_file_places_nothing(how: str) -> None:
     )
     assert ended.returncode == 1
     assert "its class is in no file" in ended.stderr
+
+
+@pytest.mark.promise("PLC-1", "RS-8")
+def test_a_class_that_only_the_run_script_has_is_a_mistake(tmp_path: Path) -> None:
+    """Its child does not come to it: that is told before the start."""
+    above, _, below = ASSERTS.partition("class Drive")
+    made, _, run = below.partition('if __name__ == "__main__":\n')
+    made = textwrap.indent(f"class Drive{made}", "    ")
+    script = tmp_path / "script.py"
+    script.write_text(f'{above}if __name__ == "__main__":\n{made}{run}')
+    ended = subprocess.run(
+        [sys.executable, str(script)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert ended.returncode == 1
+    assert "imports the script without this class" in ended.stderr

@@ -710,18 +710,30 @@ def _unnamed(component: Any) -> tuple[str, str, str] | None:
         return "placement", f"its class cannot be imported as {module}:{path}", advice
     if module == SCRIPT and (recipe["file"] or ">")[-1] == ">":  # such as <stdin>
         return "placement", "its class is in no file", "put it into a module"
-    if module == SCRIPT and not _is_guarded():
+    return _of_script(path.partition(".")[0]) if module == SCRIPT else None
+
+
+def _of_script(name: str) -> tuple[str, str, str] | None:
+    """Return why a child has no such class of the script, as far as its text tells."""
+    try:
+        text = ast.parse(inspect.getsource(sys.modules[SCRIPT]))
+    except (OSError, TypeError, SyntaxError):
+        return None
+    if not _asks(text):
         advice = "put what runs under if __name__ == '__main__':"
         return "placement", "a child imports the script, and would run it", advice
+    made = [each for each in ast.walk(text) if getattr(each, "name", "") == name]
+    runs = [each for each in text.body if isinstance(each, ast.If) and _asks(each.test)]
+    inside = [each for run in runs for each in run.body if each in made]
+    if made and made == inside:
+        advice = "define it above if __name__ == '__main__':"
+        return "placement", "a child imports the script without this class", advice
     return None
 
 
-def _is_guarded() -> bool:
-    """Whether the script tells if it is run, as far as its text is there."""
-    try:
-        told = ast.walk(ast.parse(inspect.getsource(sys.modules[SCRIPT])))
-    except (OSError, TypeError, SyntaxError):
-        return True
+def _asks(text: ast.AST) -> bool:
+    """Whether a part of the script asks if it is the one that is run."""
+    told = ast.walk(text)
     return any(isinstance(each, ast.Constant) and each.value == SCRIPT for each in told)
 
 
