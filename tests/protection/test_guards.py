@@ -114,34 +114,6 @@ async def test_a_press_that_is_over_in_the_same_turn_is_seen_too() -> None:
 
 
 @pytest.mark.promise("PRO-8", "MIN-3")
-async def test_a_guard_latches_at_nothing_that_is_replaced_in_the_same_turn() -> None:
-    """Who sees the same turns back in that instant, and that is what it looks at."""
-
-    class Ahead(esair.Reaction):
-        sonar = esair.reads(float, max_age=60.0)
-        wheels = esair.guards(float, latch=True)
-
-        def react(self, sonar: float, wheels: float) -> float | None:
-            return None if sonar < 0.5 and wheels > 0.0 else wheels
-
-    class TurnBack(esair.Reaction):
-        sonar = esair.reads(float, max_age=60.0)
-        wheels = esair.writes(float)
-
-        def react(self, sonar: float) -> float:
-            return -1.0 if sonar < 0.5 else 1.0
-
-    Ahead.rate = TurnBack.rate = 20.0
-    sonar, wheels = FakeSensor("sonar", 1.0), FakeActuator("wheels", safe=0.0)
-    async with esair.Robot(resources=[sonar, wheels], behaviors=[Ahead(), TurnBack()]):
-        await wheels.until(1.0, timeout=1.0)
-        sonar.feed(0.4)
-        await wheels.until(-1.0, timeout=0.1)
-        sonar.feed(1.0)
-        await wheels.until(1.0, timeout=0.1)
-
-
-@pytest.mark.promise("PRO-8", "MIN-3")
 @pytest.mark.parametrize("rate", [None, 20.0])
 @pytest.mark.parametrize("order", [1, -1])
 @pytest.mark.parametrize("name", ["above", "under"])

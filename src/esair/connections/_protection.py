@@ -337,7 +337,6 @@ class Guards:
     _wire: Wire
     all: tuple[Protection, ...] = ()  # by priority
     asked: Any = None  # what was asked for last, before a guard has weighed it
-    times: int = 0  # how often they were asked
 
     def obey(self, guards: tuple[Protection, ...]) -> None:
         """Have these from now on; while there are none, nobody hears what is asked for."""
@@ -364,7 +363,6 @@ class Guards:
         """
         wire, still = self._wire, self._wire.still
         self.asked = None if command is HOLD else command
-        self.times += 1
         by: str | None = None
         for number, guard in enumerate(self.all, 1):
             weighed = guard.weigh(command, still, moving=moving, hand=wire.copied)

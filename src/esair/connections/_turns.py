@@ -83,10 +83,10 @@ class Decision:
         self.sights = [each for each in self.sights if each is not sight]
 
     def look(self) -> None:
-        """Have the guards look at what stands at the end of the turn.
+        """Have the guards look at what stands, before anything of this turn leaves.
 
-        What somebody makes safe in this turn, or moves otherwise, stands no more: they
-        look once, at what the actuator is to do from now on.
+        Not in their own step: what somebody who steps after them makes safe in this turn
+        stands no more.
         """
         if not self._looks:
             self._looks = True
@@ -105,16 +105,13 @@ class Decision:
     def function(self, now: float) -> Awaitable[object] | None:
         """Decide. Called by the scheduler when all steps of the turn have run."""
         wish, self._wish = self._wish, None
-        if not (self._looks or self._others):
-            return None if wish is None else wish.commit(now)[1]
-        looks, self._looks, asked = self._looks, False, self._channel.guards.times
-        rest = None if wish is None else self._decide(wish, now)
-        if looks and self._channel.guards.times == asked:
+        if self._looks:
+            self._looks = False
             self._channel.review()
-        return rest
-
-    def _decide(self, wish: Wish, now: float) -> Awaitable[object] | None:
-        """Let the one wish of several that wins commit."""
+        if wish is None:
+            return None
+        if not self._others:
+            return wish.commit(now)[1]
         wishes, self._others = [wish, *self._others], ()
         wishes.sort(key=self._rank)
         winner: Wish | None = None
