@@ -473,7 +473,7 @@ async def test_time_that_stands_still_in_ros_stops_nothing() -> None:
 
 @pytest.mark.promise("ROS-2", "ROB-3")
 async def test_what_cannot_be_had_of_ros_keeps_nothing_else_away() -> None:
-    """A package that is not there, and a message of six megabytes: each is told."""
+    """A package that is not there, and a message that is too large: each is told."""
     made, hand = citizen(), Hand()
     made.network.links += [
         Citizen.heard("/odd", "no_such_msgs/msg/Odd"),
@@ -483,14 +483,14 @@ async def test_what_cannot_be_had_of_ros_keeps_nothing_else_away() -> None:
     ]
     made.sensors += [made.sensor("odd", "/odd"), made.sensor("big", "/big")]
     async with judging() as judge, made.robot(hand) as robot:
-        big = {"data": {"#": base64.b64encode(bytes(6_000_000)).decode()}}
-        judge.do("publish", "/big", "std_msgs/msg/UInt8MultiArray", big, 5.0)
+        big = {"data": {"#": base64.b64encode(bytes(1_500_000)).decode()}}
+        judge.do("publish", "/big", "std_msgs/msg/UInt8MultiArray", big, 2.0)
         judge.do("publish", "/cmd_vel", "geometry_msgs/msg/Twist", twist(0.3), 50.0)
         await there(robot)
         await until(lambda: "no_such_msgs" in str(robot.resources.query("odd").error))
         with pytest.raises(esair.RefusedError, match="no_such_msgs"):
             await hand.ask("far_light", Light(True))
-        await until(lambda: made.bus.stats.bad_frames > 3)
+        await until(lambda: made.bus.stats.bad_frames)
         await until(lambda: made.wheels.commands.count(Motion(0.3, 0.0)) > 50)
         assert made.bus.stats.lost == 0
 
