@@ -185,10 +185,8 @@ class Derivation(ReactionRunner):
         self.clock.begin_anew(self._derived)
         try:
             self._derived.open()
-        except Exception:
-            raise
         except BaseException as error:  # contained: it would end who opens it
-            raise raisable(error, self._derived.name) from error
+            raise raisable(error, self._derived.name) from error.__cause__
         if not self.senses.missing:
             self.job.soon()
 
