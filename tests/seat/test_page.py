@@ -657,6 +657,12 @@ class Person:
             await let_go()
         raise TimeoutError
 
+    async def holds(self, key):
+        """Hold a key until it is driving."""
+        await self.drives(
+            lambda: self.key(key, down=True), lambda: self.key(key, down=False)
+        )
+
 
 class Label(esair.Sensor[str]):
     rate = 20.0
@@ -689,10 +695,7 @@ async def test_in_a_browser(served, chromium):
         await person.clicks("#resume")
         await robot.wheels.until(Twist(0.3, 0.0), timeout=5.0)
 
-        await person.drives(
-            lambda: person.key(Keys.ARROW_DOWN, down=True),
-            lambda: person.key(Keys.ARROW_DOWN, down=False),
-        )
+        await person.holds(Keys.ARROW_DOWN)
         driven = Twist(-0.3, 0.0)  # 30 % of an actuator without limits
         await robot.wheels.until(driven, timeout=5.0)
         await asyncio.sleep(1.0)  # longer than a lease: the held key renews it
@@ -815,10 +818,7 @@ async def test_what_is_driven_is_no_accident_of_names(served, chromium, fake_act
         await robot.resources.remove("tracks")
         await asyncio.sleep(0.6)
         assert await person.runs(value) == "wheels"
-        await person.drives(
-            lambda: person.key(Keys.ARROW_DOWN, down=True),
-            lambda: person.key(Keys.ARROW_DOWN, down=False),
-        )
+        await person.holds(Keys.ARROW_DOWN)
         await person.key(Keys.ARROW_DOWN, down=False)
         assert not any(arm.commands)
 
@@ -897,10 +897,7 @@ async def test_nothing_drives_whose_end_may_not_come(served, chromium):
             assert person.holder() == "wander"
             for key in (Keys.ARROW_DOWN, modifier):
                 await person.key(key, down=False)
-        await person.drives(
-            lambda: person.key(Keys.ARROW_DOWN, down=True),
-            lambda: person.key(Keys.ARROW_DOWN, down=False),
-        )
+        await person.holds(Keys.ARROW_DOWN)
         await person.key(Keys.META, down=True)
         await eventually(lambda: person.holder() == "wander")
         await asyncio.to_thread(ActionChains(chromium).release().perform)
@@ -926,10 +923,7 @@ async def test_an_arrow_key_after_the_speed_drives(served, chromium):
         await person.opens()
         await person.clicks("#speed")  # its middle: 52 or 53 %
         speed = await person.runs("return document.querySelector('#speed').value")
-        await person.drives(
-            lambda: person.key(Keys.ARROW_UP, down=True),
-            lambda: person.key(Keys.ARROW_UP, down=False),
-        )
+        await person.holds(Keys.ARROW_UP)
         await robot.wheels.until(Twist(int(speed) / 100, 0.0), timeout=5.0)
         await person.key(Keys.ARROW_UP, down=False)
 
@@ -944,10 +938,7 @@ async def test_a_menu_of_the_browser_ends_what_is_driven(served, chromium):
     person = Person(chromium, robot)
     async with robot:
         await person.opens()
-        await person.drives(
-            lambda: person.key(Keys.ARROW_DOWN, down=True),
-            lambda: person.key(Keys.ARROW_DOWN, down=False),
-        )
+        await person.holds(Keys.ARROW_DOWN)
         await asyncio.to_thread(ActionChains(chromium).context_click().perform)
         await eventually(lambda: person.holder() == "wander")
         await person.key(Keys.ARROW_DOWN, down=False)
@@ -989,10 +980,7 @@ async def test_a_space_stops_as_at_a_terminal(served, chromium):
     person = Person(chromium, robot)
     async with robot:
         await person.opens()
-        await person.drives(
-            lambda: person.key(Keys.ARROW_DOWN, down=True),
-            lambda: person.key(Keys.ARROW_DOWN, down=False),
-        )
+        await person.holds(Keys.ARROW_DOWN)
         await person.key(" ", down=True)
         await eventually(lambda: person.holder() == "wander")
         await asyncio.sleep(0.6)
@@ -1018,10 +1006,7 @@ async def test_it_drives_again_when_the_robot_is_back(served, chromium):
     person.robot = again
     async with again:
         await person.waits(LIVE)
-        await person.drives(
-            lambda: person.key(Keys.ARROW_DOWN, down=True),
-            lambda: person.key(Keys.ARROW_DOWN, down=False),
-        )
+        await person.holds(Keys.ARROW_DOWN)
         await again.wheels.until(Twist(-0.3, 0.0), timeout=5.0)
         await person.key(Keys.ARROW_DOWN, down=False)
 
