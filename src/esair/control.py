@@ -117,9 +117,11 @@ class Pid:
 
         Returns:
             The output, from `low` to `high`; that of before if *target* or *measured*
-            is no finite number.
+            is no finite number. What it did meanwhile is not known, so the next step
+            has no derivative.
         """
         if not (_is_usable(target) and _is_usable(measured)):
+            self.started = False
             return self.output
         error = _turned(target - measured, self.wrap)
         change = 0.0
@@ -312,7 +314,7 @@ class Hysteresis:
         self.value: bool = self.start
 
     def step(self, value: float) -> bool:
-        """Return whether it is on."""
+        """Return whether it is on; an infinite *value* is beyond one of the two."""
         if value >= self.on:
             self.value = True
         elif value <= self.off:

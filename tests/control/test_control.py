@@ -119,6 +119,17 @@ def test_a_bad_number_is_left_out() -> None:
     assert pid.integral == pytest.approx(0.01)
 
 
+def test_what_moved_during_bad_numbers_is_no_jump() -> None:
+    """One step's time does not stand for a change of many: there is no derivative."""
+    pid = Pid(0.0, 0.0, 1.0, low=-50.0, high=50.0)
+    pid.step(0.0, 0.1, 20)
+    for _ in range(25):
+        pid.step(0.0, math.nan, 20)
+
+    assert pid.step(0.0, 0.63, 20) == 0.0
+    assert pid.step(0.0, 0.65, 20) == pytest.approx(-1.0)
+
+
 def test_reset_forgets_everything() -> None:
     """A part that was reset gives what a new one gives."""
     told = {
