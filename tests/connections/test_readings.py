@@ -101,6 +101,19 @@ async def test_a_reading_of_another_type_is_bad(
 
 
 @pytest.mark.promise("SC-3")
+async def test_whole_numbers_have_limits_too(user_of: Any) -> None:
+    """Of a value that is none within, there is no reading."""
+    count = FakeSensor("count", 3, type=int)
+    count.limits = (0, 10)
+    user = user_of("u", count=esair.reads(int))
+    async with esair.Robot(resources=[count], behaviors=[user]):
+        assert await user.count.read() == 3
+        count.feed(11)
+        with pytest.raises(esair.DeviceFaultError, match="11"):
+            await user.count.read(fresh=True)
+
+
+@pytest.mark.promise("SC-3")
 async def test_infinity_is_bad_within_limits_that_have_one_end(user_of: Any) -> None:
     """That there is no greatest value does not make infinity one."""
     sonar, user = (

@@ -216,9 +216,11 @@ async def test_one_that_has_lost_meanwhile_is_refused_when_its_time_is_over(
         await soon()
         loses = asyncio.create_task(low.motor.write(2.0))
         wins = asyncio.create_task(high.motor.write(3.0))
+        began = esair.now()
         refused = await loses
         assert not refused
         assert refused.holder == "high"
+        assert esair.now() - began < motor.deadline + 0.1  # the device is busy still
         assert await first
         assert await wins
     assert 2.0 not in motor.commands

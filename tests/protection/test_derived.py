@@ -572,6 +572,20 @@ async def test_a_fresh_value_has_one_timeout_in_all() -> None:
 
 
 @pytest.mark.promise("SUP-1")
+async def test_who_waits_for_a_first_value_waits_as_long_as_it_says() -> None:
+    """Whenever it asks: what was computed of has not spoken yet."""
+    left, right = FakeSensor("left", type=float), FakeSensor("right", 1.0)
+    user: Any = esair.Behavior(name="user", reads={"distance": esair.reads(float)})
+    async with esair.Robot(
+        resources=[left, right, Distance(name="distance")], behaviors=[user]
+    ):
+        await asyncio.sleep(5.3)
+        began = esair.now()
+        with pytest.raises(esair.StaleReadingError):
+            await user.distance.read(timeout=0.25)
+        assert esair.now() - began == pytest.approx(0.25, abs=0.01)
+
+
 async def test_it_waits_at_the_start_until_its_sources_were_tried() -> None:
     """It is no loss that they are not open yet."""
 

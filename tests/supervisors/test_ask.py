@@ -1036,6 +1036,25 @@ async def test_nothing_is_kept_of_what_is_over(ends: str) -> None:
         assert not queue.count
 
 
+@pytest.mark.promise("BS-9")
+async def test_nobody_works_on_a_request_whose_block_was_left() -> None:
+    """Also if its loop was left with it: one loop for each request, again and again."""
+
+    class Once(Docking):
+        async def run(self) -> None:
+            while True:
+                async for request in self.orders:
+                    async with request:
+                        request.answer(Docked(request.bay))
+                    break
+
+    a = Idle(name="a")
+    async with esair.Robot(behaviors=[a, Once(name="docking")]) as robot:
+        for number in range(3):
+            await a.ask("docking", Dock(number))
+        assert robot.behaviors.query("docking").working == 0
+
+
 @pytest.mark.promise("BS-5")
 async def test_a_request_within_a_request_is_part_of_the_chain() -> None:
     """Who has served one within another serves the outer one still."""

@@ -240,6 +240,28 @@ async def test_what_comes_while_the_old_ones_end_waits_for_its_turn(verb: str) -
     assert story.index("wander ends") < story.index("dock runs")
 
 
+@pytest.mark.promise("MODE-2", "SUP-3")
+async def test_what_waits_for_those_who_end_holds_up_no_other_command() -> None:
+    """One is added while the old mode ends slowly; another is taken away meanwhile."""
+    wander = Mover("wander", 1.0, deaf=3.0)
+    near = Mover("near", 2.5, sets_up=0.1)
+    modes = {**TWO, "dock": ["dock", "near"]}
+    captain = Captain(name="captain")
+    robot, _ = make(wander, Mover("dock", 2.0), near, captain, modes=modes)
+    async with robot:
+        await robot.behaviors.remove("dock")
+        switch = asyncio.create_task(robot.behaviors.switch("dock"))
+        await asyncio.sleep(0.2)
+        add = asyncio.create_task(robot.behaviors.add(Mover("dock", 3.0)))
+        await asyncio.sleep(0.1)
+        began = esair.now()
+        await robot.behaviors.remove("captain")
+        assert esair.now() - began < 0.5
+        assert not add.done()
+        await add
+        await switch
+
+
 @pytest.mark.promise("MODE-2")
 async def test_who_is_just_removed_ends_before_the_new_ones_begin() -> None:
     """The removal had begun when the switch came."""

@@ -40,6 +40,15 @@ async def test_replace_puts_another_in_the_same_place() -> None:
         assert robot.behaviors.query("driver").state is State.RUNNING
 
 
+@pytest.mark.promise("SUP-2")
+async def test_who_takes_a_place_takes_its_name() -> None:
+    """Whatever its class is called: in what it says of itself, too."""
+    idle = Idle()
+    async with esair.Robot(resources=[wheels()], behaviors=[Driver()]) as robot:
+        await robot.behaviors.replace("driver", idle)
+        assert idle.name == "driver"
+
+
 @pytest.mark.promise("SUP-2", "AC-2")
 @pytest.mark.parametrize("seed", seeds)
 async def test_the_old_one_is_safe_before_the_new_one_moves(seed: int) -> None:

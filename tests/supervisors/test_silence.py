@@ -10,6 +10,7 @@ import pytest
 
 import esair
 from esair import ResourceState
+from esair.journal import Event, Kind
 from esair.messages import Stamped
 from esair.testing import FakeActuator, FakeSensor
 
@@ -77,6 +78,39 @@ async def test_a_replug_leaves_failed() -> None:
         await asyncio.sleep(0.1)
         assert robot.resources.query("part").state is ResourceState.READY
         await failed(robot, part)
+
+
+@pytest.mark.promise("RES-3", "TURN-5")
+async def test_failed_is_one_event_with_its_cause() -> None:
+    """Whoever listens to the journal hears of it once, after all restarts."""
+    part, heard = Part(), list[Event]()
+    async with esair.Robot(resources=[part]) as robot:
+        robot.journal.listen(heard.append)
+        await failed(robot, part)
+        await asyncio.sleep(60.0)
+    (event,) = [each for each in heard if each.kind is Kind.FAILED]
+    assert event.component == "part"
+    assert "checksum" in event.text
+
+
+@pytest.mark.promise("RES-3")
+async def test_a_limit_of_a_call_is_judged_by_what_its_own_port_declares() -> None:
+    """That another port allows less is no excuse: what was asked for is its own fault."""
+
+    class Hasty(esair.Behavior):
+        sonar = esair.reads(float, max_age=2.0)
+        bumper = esair.reads(float, max_age=0.3)
+        restart = esair.Restart(max=0)
+
+        async def run(self) -> None:
+            await asyncio.sleep(1.5)
+            await self.sonar.read(max_age=0.7, timeout=0.1)
+
+    sonar, bumper = FakeSensor("sonar"), FakeSensor("bumper", 0.0)
+    async with esair.Robot(resources=[sonar, bumper], behaviors=[Hasty()]) as robot:
+        sonar.feed(0.5)
+        await asyncio.sleep(3.0)
+        assert robot.behaviors.query("hasty").state is esair.BehaviorState.FAILED
 
 
 @pytest.mark.promise("RES-3")
