@@ -574,7 +574,8 @@ async def test_a_fresh_value_has_one_timeout_in_all() -> None:
 @pytest.mark.promise("SUP-1")
 async def test_who_waits_for_a_first_value_waits_as_long_as_it_says() -> None:
     """Whenever it asks: what was computed of has not spoken yet."""
-    left, right = FakeSensor("left", type=float), FakeSensor("right", 1.0)
+    left: FakeSensor[float] = FakeSensor("left", type=float)
+    right = FakeSensor("right", 1.0)
     user: Any = esair.Behavior(name="user", reads={"distance": esair.reads(float)})
     async with esair.Robot(
         resources=[left, right, Distance(name="distance")], behaviors=[user]

@@ -106,7 +106,8 @@ async def test_a_limit_of_a_call_is_judged_by_what_its_own_port_declares() -> No
             await asyncio.sleep(1.5)
             await self.sonar.read(max_age=0.7, timeout=0.1)
 
-    sonar, bumper = FakeSensor("sonar"), FakeSensor("bumper", 0.0)
+    sonar: FakeSensor[float] = FakeSensor("sonar", type=float)
+    bumper = FakeSensor("bumper", 0.0)
     async with esair.Robot(resources=[sonar, bumper], behaviors=[Hasty()]) as robot:
         sonar.feed(0.5)
         await asyncio.sleep(3.0)
