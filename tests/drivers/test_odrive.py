@@ -36,7 +36,7 @@ from esair.drivers.odrive import (
     frame_id,
 )
 from esair.drivers.odrive.fake import FakeOdrive
-from esair.exceptions import DeviceFaultError, DeviceLostError
+from esair.exceptions import BadValueError, DeviceFaultError, DeviceLostError
 from esair.testing import ActuatorContract, FakeCan, SensorContract
 
 pytestmark = pytest.mark.virtual_clock
@@ -441,4 +441,18 @@ async def test_an_axis_that_missed_to_be_idle_is_told_again() -> None:
         wire.speak()
         await asyncio.sleep(4.0)
         assert far.state is IDLE
+        assert robot.resources.query("axis").state is esair.ResourceState.READY
+
+
+async def test_a_command_that_no_frame_can_hold_is_no_fault_of_the_axis() -> None:
+    """The writer hears of it; the axis stays as it is."""
+    wire = FakeCan("wire")
+    FakeOdrive(wire, node=3)
+    axis = OdriveAxis(name="axis", bus=wire, node=3)
+    policy = esair.Policy("axis", allow={"user": esair.Access.WRITE})
+    async with esair.Robot(resources=[axis], policies=[policy]) as robot:
+        user = await robot.resources.register("user", "axis", esair.Access.WRITE)
+        await asyncio.sleep(1.0)
+        with pytest.raises(BadValueError, match="single float"):
+            await robot.actuators.write(user, -1e300)
         assert robot.resources.query("axis").state is esair.ResourceState.READY

@@ -25,7 +25,12 @@ import attrs
 from esair.buses import CanBus, Inbox
 from esair.buses import Frame as CanFrame
 from esair.drivers._on_bus import ended, heard, watching
-from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
+from esair.exceptions import (
+    BadValueError,
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+)
 from esair.resources import (
     HOLD,
     Actuator,
@@ -482,6 +487,18 @@ class OdriveAxis(_OnAxis, Actuator[float]):
     async def close(self) -> None:
         """Watch it no more."""
         await ended(self._watching)
+
+    def check(self, command: float) -> None:
+        """Refuse a command that no frame can hold.
+
+        Raises:
+            BadValueError: It is one.
+        """
+        try:
+            encode_input(self.control, command)
+        except OverflowError:
+            told = f"{command!r} does not fit a single float"
+            raise BadValueError(self.name, "command", told) from None
 
     async def write(self, command: float) -> None:
         """Tell the axis its input, and arm it if that is no safe command."""
