@@ -261,6 +261,13 @@ async def test_objects_are_read_by_name_or_index(
         assert type(value) is kind
 
 
+async def test_what_a_real_number_cannot_hold_is_beyond_its_limits(rig: Any) -> None:
+    """Else it were an error of the driver, which is a fault of the node; in its unit."""
+    wire, _ = rig()
+    gain = actuator(wire, "Gains.Integral", safe=0.0, factor=0.01)
+    assert gain.limits == pytest.approx((-3.4e36, 3.4e36))
+
+
 async def test_a_factor_makes_a_unit(rig: Any) -> None:
     """Both ways; the limits of the file are in the unit too."""
     wire, node = rig()

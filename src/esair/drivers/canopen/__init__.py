@@ -99,20 +99,21 @@ class Mapped:
 
 def bounds(variable: ODVariable) -> tuple[float, float] | None:
     """Return what an object can be, by its limits and its type; None for no number."""
-    low, high = variable.min, variable.max
+    bits = len(variable)
     if variable.data_type in INTEGER_TYPES:
-        bits = len(variable)
         signed = variable.data_type in SIGNED_TYPES
-        least = -(1 << (bits - 1)) if signed else 0
-        most = (1 << (bits - 1 if signed else bits)) - 1
-        return (
-            least if low is None else max(low, least),
-            most if high is None else min(high, most),
-        )
-    if variable.data_type not in FLOAT_TYPES or (low is None and high is None):
+        least: float = -(1 << (bits - 1)) if signed else 0
+        most: float = (1 << (bits - 1 if signed else bits)) - 1
+    elif variable.data_type in FLOAT_TYPES:
+        most = 3.4e38 if bits == 32 else 1.7e308
+        least = -most
+    else:
         return None
-    inf = float("inf")
-    return (-inf if low is None else low, inf if high is None else high)
+    low, high = variable.min, variable.max
+    return (
+        least if low is None else max(low, least),
+        most if high is None else min(high, most),
+    )
 
 
 def find_object(
