@@ -180,6 +180,15 @@ def test_what_is_held_at_the_opening_is_what_it_is() -> None:
     assert (state.pad().axis("z"), state.pad().axis("gas")) == (0.0, 0.0)
 
 
+def test_a_trigger_of_an_xbox_pad_may_be_held_at_the_opening() -> None:
+    """Its sticks have a middle of 0, so it is none: let go it would have told -1."""
+    x, trigger = Axis(-32768, 32767, 0), Axis(0, 1023, 1023)
+    state = PadState({0: x, 2: trigger}, ())
+    assert state.pad().axis("z") == 1.0
+    state.take(3, 2, 0)
+    assert state.pad().axis("z") == 0.0
+
+
 def test_a_right_stick_with_the_code_of_a_trigger_is_a_stick() -> None:
     """By where it rests."""
     stick = PadState({2: Axis(0, 255, 128), 5: Axis(0, 255, 0)}, ())

@@ -196,7 +196,8 @@ class PadState:
         self._dead_zone = dead_zone
         self._axes = {code: axis for code, axis in axes.items() if code in AXES}
         # What rests at its end is a trigger; sticks of some pads have the same codes.
-        # One that has a middle of 0 is a stick, even if it is held at its end now.
+        # Where sticks have a middle of 0 that tells them apart, whatever is held now.
+        signed = any(axis.least < 0 for code, axis in self._axes.items() if code < 2)
         self._triggers = {
             code
             for code, axis in self._axes.items()
@@ -204,7 +205,7 @@ class PadState:
             or (
                 code in _MAY_BE_TRIGGERS
                 and axis.least >= 0
-                and axis.value <= axis.least + (axis.most - axis.least) / 8
+                and (signed or axis.value <= axis.least + (axis.most - axis.least) / 8)
             )
         }
         self._pressed = set(pressed)
