@@ -14,7 +14,7 @@ from tests.drivers.parts import OnServos
 from tests.drivers.test_servo import Captured
 
 from esair.buses import Wire
-from esair.drivers.servo import Goal, Mode, Servo, ServoPosition
+from esair.drivers.servo import Goal, Mode, Servo, ServoPosition, to_angle
 from esair.drivers.servo._bus import Entry
 from esair.drivers.servo.fake import SYNC_READ, SYNC_WRITE
 from esair.drivers.servo.fake_feetech import FakeFeetechServos
@@ -93,6 +93,19 @@ class TestFeetechCurrent(OnLine, ActuatorContract):
     async def power_cycle(self, device: Any) -> None:
         await device.write(0.1)
         self.fakes.power_cycle()
+
+
+async def test_a_goal_beyond_its_own_limits_is_cut_off() -> None:
+    """It would stop there without a word; what it was told instead is returned."""
+    fakes = FakeFeetechServos([1])
+    elbow = Servo(safe=RELEASE, bus=FeetechBus(name="arm", wire=fakes))
+    fakes.feetech[1].put(11, 3000)
+    await elbow.bus.open()
+    await elbow.open()
+
+    assert await elbow.write(Goal(0.5)) is None
+    assert await elbow.write(Goal(2.5)) == Goal(to_angle(3000))
+    assert await elbow.bus.read(1, 56, 2) == 3000
 
 
 async def test_a_current_is_in_its_units_with_a_bit_for_its_sign() -> None:

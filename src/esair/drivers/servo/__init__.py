@@ -283,9 +283,11 @@ class Servo(Torqued[Goal]):
         """Make sure that the servo answers, and is in its mode; nothing moves by that."""
         self._told_speed = None
         await super().open()
-        if (entry := self.bus.table.limits) is not None:
-            both = await self.bus.read(self.id, entry.address, entry.size)
-            self._takes = both >> 32, both & 0xFFFF_FFFF
+        entry = self.bus.table.limits
+        both = await self.bus.read(self.id, entry.address, entry.size)
+        half = 4 * entry.size
+        least, most = sorted((both >> half, both & (1 << half) - 1))
+        self._takes = (least, most) if both else (-math.inf, math.inf)
 
     def _is_as_told(self, seen: Snapshot) -> bool:
         return super()._is_as_told(seen) and self._told_speed in {None, seen.speed}
@@ -323,7 +325,7 @@ class Servo(Torqued[Goal]):
             wanted = (await self.bus.snapshot(self.id)).position
         least, most = self._takes
         steps = int(min(max(least, wanted), most))
-        if holds and table.limits is not None and not self._torque:
+        if holds and not table.goal.has_sign_bit and not self._torque:
             # Turned by hand it counts on, until the torque comes.
             steps = wanted % STEPS
         await self._tell(

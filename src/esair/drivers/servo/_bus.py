@@ -128,11 +128,11 @@ class Table(NamedTuple):
         current_unit: The unit of that in A, unless its model has another.
         errors: The bits of why it has shut down.
         look: What is read for a `Snapshot`: its entries, as they are in one block.
+        limits: Its least and its greatest goal, in any order; both 0 for none.
         mapped: Where the addresses of the bytes of that block are put; None if they are
             there by themselves.
         light: Its light, which a restart puts out; None if it has none.
         lock: What keeps its mode from being changed; None if nothing does.
-        limits: Its greatest and its least goal, in one block; None if it takes any.
         fastest: The greatest velocity that it takes; None if it takes any.
         strongest: The greatest current that it takes; None if it takes any.
     """
@@ -147,13 +147,13 @@ class Table(NamedTuple):
     velocity_unit: float
     errors: int
     look: Entry
+    limits: Entry
     no_limit: int = 0
     current: Entry | None = None
     current_unit: float = 0.0
     mapped: int | None = None
     light: int | None = None
     lock: int | None = None
-    limits: Entry | None = None
     fastest: Entry | None = None
     strongest: Entry | None = None
 
@@ -202,9 +202,9 @@ DYNAMIXEL_X: Final = Table(
     look=Entry(224, 10),
     current=Entry(102, 2),
     current_unit=0.00269,
+    limits=Entry(48, 8),
     mapped=168,
     light=65,
-    limits=Entry(48, 8),
     fastest=Entry(44, 4),
     strongest=Entry(38, 2),
 )
@@ -221,6 +221,7 @@ FEETECH_STS: Final = Table(
     velocity_unit=math.tau / 4096,
     errors=65,
     look=Entry(40, 18),
+    limits=Entry(9, 4),
     lock=55,
 )
 """The STS and SMS series of Feetech: the memory table of the STS3215."""

@@ -61,7 +61,12 @@ class FakeFeetechServo:
             return  # it is locked
         self.table[address : address + len(data)] = data
         if self.torque and self.table[FEETECH_STS.mode] == 0:
-            self.put(FEETECH_STS.position.address, self.get(FEETECH_STS.goal.address))
+            goal = self.get(FEETECH_STS.goal.address)
+            place = FEETECH_STS.limits.address
+            least, most = self.get(place), self.get(place + 2)
+            if least or most:
+                goal = min(max(least, goal), most)
+            self.put(FEETECH_STS.position.address, goal)
 
 
 class FakeFeetechServos(FakeServos):
