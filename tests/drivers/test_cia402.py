@@ -191,6 +191,22 @@ async def test_a_drive_tells_as_often_as_any_needs_it(
         assert losses == [0, 0]
 
 
+@pytest.mark.promise("SUP-2")
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("kinds", [(Drive, DriveState), (DriveState, Drive)])
+async def test_who_has_no_sync_does_not_miss_that_of_another(
+    wire: FakeCan, far: FakeDrive, kinds: tuple[Any, Any], first: int
+) -> None:
+    """It goes with the device that needs it, in whatever order they were opened."""
+    devices = [made(kinds[0], wire, name="one", sync=0.02)]
+    devices.insert(first, made(kinds[1], wire, name="other"))
+    async with esair.Robot(resources=devices) as robot:
+        await asyncio.sleep(1.0)
+        await robot.resources.remove("one")
+        await asyncio.sleep(1.0)
+        assert robot.resources.query("other").losses == 0
+
+
 @pytest.mark.promise("SC-3")
 async def test_half_a_reading_is_silence(wire: FakeCan, far: FakeDrive) -> None:
     """Its second PDO comes no more, though the first one does."""

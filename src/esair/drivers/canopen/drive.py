@@ -286,28 +286,29 @@ class OnDrive(OnNode):
         self._prepare(remote)
 
     def _prepare(self, remote: Any) -> None:
-        users = tuple(self._connected().users)  # the quickest of them is what all have
-        every = min(each.tell_every for each in users if isinstance(each, OnDrive))
+        users = tuple(self._connected().users)
+        on = [each for each in users if isinstance(each, OnDrive)]
+        # The quickest is what all have; a SYNC would end with the one that needs it.
+        every = min(each.tell_every for each in on)
+        by_sync = all(each.sync is not None for each in on)
+        self._silence = max(SILENCE, 10 * max(self.tell_every, self.sync or 0.0))
         for number, mapped in enumerate(TOLD, 1):
             pdo = remote.tpdo[number]
             pdo.rtr_allowed = False
-            pdo.event_timer = round(every * 1000) if self.sync is None else 0
-            self._map(pdo, mapped)
+            pdo.event_timer = 0 if by_sync else round(every * 1000)
+            if 5 not in pdo.com_record.od:
+                pdo.event_timer = None
+                self._silence = self._silence if by_sync else None
+            self._map(pdo, mapped, by_sync=by_sync)
         self._is_prepared = True
 
-    def _map(self, pdo: Any, mapped: tuple[int, ...]) -> None:
+    def _map(self, pdo: Any, mapped: tuple[int, ...], *, by_sync: bool) -> None:
         pdo.clear()
         for index in mapped:
             if pdo.add_variable(index) is None:
                 raise DeviceFaultError(self.name, f"the file has no object {index:#x}")
         pdo.cob_id = pdo.predefined_cob_id
-        pdo.trans_type = 255 if self.sync is None else 1
-        period = self.tell_every if self.sync is None else self.sync
-        self._silence = max(SILENCE, 10 * period)
-        if 5 not in pdo.com_record.od:
-            pdo.event_timer = None
-            if self.sync is None:
-                self._silence = None
+        pdo.trans_type = 1 if by_sync else 255
         pdo.enabled = True
         pdo.save()
 
@@ -394,7 +395,8 @@ class DriveActuator(OnDrive):
     def _prepare(self, remote: Any) -> None:
         remote.sdo[CONTROLWORD].raw = QUICK_STOP
         remote.sdo[MODE].raw = self.mode
-        self._map(remote.rpdo[1], (CONTROLWORD, self.target))
+        by_sync = self.sync is not None
+        self._map(remote.rpdo[1], (CONTROLWORD, self.target), by_sync=by_sync)
         super()._prepare(remote)
 
     async def open(self) -> None:
@@ -576,7 +578,7 @@ class DriveState(OnDrive, Sensor[DriveReading]):
         velocity_factor: The unit of its velocity, in rad/s.
         tell_every: How often it tells, in seconds; without a SYNC.
         sync: The period of the SYNC with which it tells, in seconds; the same for all
-            devices on a bus.
+            devices on a bus. If one on its node has none, it tells by ``tell_every``.
         heartbeat: The heartbeat period that it is told, in seconds.
         sdo_timeout: How long it may take to answer, in seconds.
 
