@@ -134,6 +134,39 @@ async def test_all_that_is_on_a_part_notices_that_it_has_restarted() -> None:
         assert losses == [1, 1]
 
 
+@pytest.mark.virtual_clock
+async def test_a_part_has_one_set_up() -> None:
+    """Each opening would undo the other's for ever; the second one says so."""
+    bus = FakeI2c(chips={0x68: FakeMpu6050(FELT)})
+
+    def part(value: str, wanted: int) -> AdafruitSensor:
+        told = {"gyro_range": wanted, "sleep": False}
+        return AdafruitSensor(
+            name=value, library=MPU6050, value=value, set_up=told, bus=bus
+        )
+
+    parts = [part("acceleration", 1), part("gyro", 2)]
+    async with esair.Robot(resources=parts) as robot:
+        await asyncio.sleep(10.0)
+        first, second = (robot.resources.query(part.name) for part in parts)
+        assert (first.state, first.losses) == (esair.ResourceState.READY, 0)
+        assert "expected that of 'acceleration'" in str(second.error)
+
+
+@pytest.mark.virtual_clock
+async def test_a_driver_that_resets_its_part_hides_that_from_nobody() -> None:
+    """Who has set it up sets it up anew, before its next value is taken."""
+    bus = FakeI2c(chips={0x68: FakeMpu6050(FELT)})
+    plain = AdafruitSensor(name="heat", library=MPU6050, value="temperature", bus=bus)
+    gyro = AdafruitSensor(
+        name="gyro", library=MPU6050, value="gyro", set_up={"gyro_range": 2}, bus=bus
+    )
+    async with esair.Robot(resources=[gyro]) as robot:
+        await asyncio.sleep(3.1)
+        await robot.resources.add(plain)
+        assert robot.resources.query("gyro").losses == 1
+
+
 @pytest.mark.real_clock
 @pytest.mark.parametrize(
     ("library", "path", "told"),

@@ -301,6 +301,8 @@ class _OnPart(OnObject):
             raise ConfigError(self.name, "chip", told)
         self._chip = chip
         self._place = address, chip, library
+        self.told: dict[str, Any] = dict(set_up or {})
+        """What the part is told at each opening."""
         self.object = Made(
             self,
             library,
@@ -329,10 +331,11 @@ class _OnPart(OnObject):
         else:
             wire = AdafruitBus(bus)
         self._wire = wire
-        for other in self._others():  # what follows hides a restart from them
-            with contextlib.suppress(Exception):
-                if not other.is_set_up():
-                    other.report_lost(_restarted(other))
+        for other in self._others():
+            if other.told and self.told not in ({}, other.told):
+                told = f"expected that of {other.name!r}, {other.told!r:.80}: a part has one"
+                raise ConfigError(self.name, "set_up", told)
+        self._look_at_others()  # what follows hides a restart from them
         try:
             self.object.open(wire, *first)
             for text, (path, _) in self.object.set_up.items():
@@ -351,6 +354,7 @@ class _OnPart(OnObject):
             if silent or _is_silence(error) or not self.bus.is_open:
                 raise DeviceLostError(self.name, describe(error)) from error
             raise
+        self._look_at_others()  # some drivers reset their part
         self._on_part().append(self)
 
     def close(self) -> None:
@@ -371,6 +375,12 @@ class _OnPart(OnObject):
         for other in () if is_so else self._others():
             other.report_lost(_restarted(other))
         return is_so
+
+    def _look_at_others(self) -> None:
+        for other in self._others():
+            with contextlib.suppress(Exception):
+                if not other.is_set_up():
+                    other.report_lost(_restarted(other))
 
     def _on_part(self) -> _Part:
         return shared(self.bus, _Part).setdefault(self._place, _Part())
@@ -420,7 +430,8 @@ class AdafruitSensor(_OnPart, MadeSensor):
         chip: The number of its chip select on SPI.
         arguments: Further keywords for the driver's class.
         set_up: Attributes that are assigned at each opening, by their paths. A part that
-            has restarted is known by them, because they are others then.
+            has restarted is known by them, because they are others then. All that is on
+            a part has the same ones, or none.
     """
 
     def __init__(
