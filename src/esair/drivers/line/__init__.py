@@ -227,7 +227,9 @@ class LineActuator(_OnLine, Actuator[float]):
     Args:
         safe: The number that makes it safe.
         key: Its name on the wire; the actuator's own name unless given.
-        ack: Whether the board confirms each command, with what it has applied.
+        ack: Whether the board confirms each command, with what it has applied. Nothing
+            tells one confirmation from another: what comes later than the ``late_limit``
+            of the bus after its time is taken for that of the next command.
         limits: Least and greatest number.
         own_timeout: After how many seconds without a command the board itself stops.
         reads_back: Whether what the board has confirmed is read back each second, as
