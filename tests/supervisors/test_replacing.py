@@ -18,9 +18,33 @@ from tests.supervisors.actors import (
 )
 
 import esair
-from esair.testing import FakeActuator
+from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
+
+
+class Copy(esair.Reaction):
+    """Moves as fast as the sonar says."""
+
+    sonar = esair.reads(float)
+    wheels = esair.writes(float)
+
+    def react(self, sonar: float) -> float:
+        return sonar
+
+
+class Slow(esair.Behavior):
+    """Does the same, after a long setup."""
+
+    sonar = esair.reads(float)
+    wheels = esair.writes(float)
+
+    async def setup(self) -> None:
+        await asyncio.sleep(0.7)
+
+    async def run(self) -> None:
+        async for sonar in self.sonar:
+            await self.wheels.write(sonar)
 
 
 @pytest.mark.promise("SUP-2")
@@ -47,6 +71,26 @@ async def test_who_takes_a_place_takes_its_name() -> None:
     async with esair.Robot(resources=[wheels()], behaviors=[Driver()]) as robot:
         await robot.behaviors.replace("driver", idle)
         assert idle.name == "driver"
+
+
+@pytest.mark.promise("RS-5", "SUP-2")
+@pytest.mark.parametrize("kind", [Copy, Slow])
+async def test_a_device_that_goes_and_comes_while_one_stands_by_is_its_again(
+    kind: type[esair.Behavior | esair.Reaction],
+) -> None:
+    """It cannot decide yet, or is being set up; once it is there it moves the device."""
+    device, sonar = wheels(), FakeSensor("sonar", 0.5)
+    async with esair.Robot(resources=[device, sonar], behaviors=[kind()]) as robot:
+        await device.until(0.5, timeout=1.0)
+        sonar.unplug()
+        await asyncio.sleep(0.1)
+        replace = asyncio.create_task(robot.behaviors.replace(kind().name, kind()))
+        await asyncio.sleep(0.3)
+        await robot.resources.remove("wheels")
+        await robot.resources.add(other := wheels())
+        await replace
+        sonar.plug()
+        await other.until(0.5, timeout=6.0)
 
 
 @pytest.mark.promise("SUP-2", "AC-2")

@@ -347,6 +347,7 @@ class BehaviorDeployment:
         self.mediator: Mediator = Mediator(self.journal)
         self.performing: dict[Member, None] = {}  # those with steps of their own
         self.coming: list[Member] = []  # those whose ``setup`` a command waits for
+        self.heirs: list[Member] = []  # those that stand by to take another's place
         self.ending: list[Member] = []
         self.grace = grace
         self.may_begin: asyncio.Event = asyncio.Event()
@@ -589,12 +590,12 @@ class BehaviorDeployment:
 
     def forget_waiting(self) -> None:
         """Drop the commands that reactions keep for later: the robot is halted."""
-        for member in self.members.values():
+        for member in (*self.members.values(), *self.heirs):
             member.forget_waiting()
 
     def halt(self) -> None:
         """Let no reaction take another step: the robot stops."""
-        for member in self.members.values():
+        for member in (*self.members.values(), *self.heirs):
             member.halt()
 
     async def stop(self) -> None:
@@ -651,7 +652,7 @@ class BehaviorDeployment:
         """Return who uses a resource, or performs a step now that may."""
         performers = (m for m in self.performing if self.members.get(m.name) is m)
         users = (self.members[name] for name in self.resources.plan.users_of(resource))
-        return list(dict.fromkeys([*users, *performers]))
+        return list(dict.fromkeys([*users, *self.heirs, *performers]))
 
 
 def _too_late(members: Iterable[Member], waits: list[asyncio.Future[None]]) -> None:

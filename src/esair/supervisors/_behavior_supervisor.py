@@ -267,6 +267,7 @@ class BehaviorSupervisor(abc.Supervisor):
             if not (rests := crew.turns.rest(new)):
                 new.gate = asyncio.get_running_loop().create_future()
                 new.sight.stand_by()
+                crew.heirs.append(new)
                 try:
                     await crew.begin(new)
                     if isinstance(action, Reaction):
@@ -281,6 +282,8 @@ class BehaviorSupervisor(abc.Supervisor):
                     await crew.end(new)
                     new.sight.leave()
                     raise
+                finally:
+                    crew.heirs.remove(new)
             new.sight.take_over(old.sight, rests=rests)
             self._commands.no_return()
             crew.take_in(new)
