@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gc
 import itertools
 import threading
@@ -157,6 +158,33 @@ async def test_all_outputs_of_a_unit_notice_that_it_has_restarted() -> None:
         await asyncio.sleep(3.0)
         assert [robot.resources.query(n).losses for n in ("fan", "lamp")] == [1, 1]
         assert unit.controlled == {1: b"\0", 2: b"\0"}
+
+
+class Fan(esair.Behavior):
+    """Has the fan turn, whatever it answers."""
+
+    fan = esair.writes(float)
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.05):
+            with contextlib.suppress(DeviceFaultError, DeviceLostError):
+                await self.fan.write(10.0)
+
+
+@pytest.mark.promise("RES-3", "RES-4")
+async def test_a_unit_that_restarts_amid_commands_is_lost_and_not_at_fault() -> None:
+    """It refuses them without its session: however often, it is soon there again."""
+    can = FakeCan()
+    unit = FakeUnit(can, {1: b"\0"})
+    fan = UdsActuator(name="fan", identifier=1, layout="B", safe=0.0, bus=can)
+    async with esair.Robot(resources=[fan], behaviors=[Fan()]) as robot:
+        for _ in range(5):
+            await asyncio.sleep(7.3)
+            unit.power_cycle()
+        await asyncio.sleep(1.0)
+        seen = robot.resources.query("fan")
+        assert (seen.losses, seen.faults) == (5, 0)
+        assert unit.controlled == {1: b"\x0a"}
 
 
 async def test_a_unit_has_one_session() -> None:

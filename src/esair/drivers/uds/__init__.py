@@ -315,7 +315,7 @@ class UdsActuator(_OnUnit, Actuator[float]):
         is_in_it = told == bytes((self.session,))
         for user in () if is_in_it else self._present.users:
             if user is not self:
-                user.report_lost(DeviceLostError(user.name, "its session is over"))
+                user.report_lost(_session_is_over(user))
         return is_in_it
 
     def check(self, command: float) -> None:
@@ -341,18 +341,28 @@ class UdsActuator(_OnUnit, Actuator[float]):
 
         Raises:
             DeviceFaultError: The unit refuses.
-            DeviceLostError: It is busy, or a unit behind it does not answer.
+            DeviceLostError: It is busy, or a unit behind it does not answer, or it has
+                restarted.
         """
         data = self._packed(command)
-        if self.by == "control":
-            await self._control(b"\x03" + data)
-        else:
-            await self._ask(services.WriteDataByIdentifier, self._did + data)
+        try:
+            if self.by == "control":
+                await self._control(b"\x03" + data)
+            else:
+                await self._ask(services.WriteDataByIdentifier, self._did + data)
+        except DeviceFaultError as refusal:
+            if await self.is_set_up():
+                raise
+            raise _session_is_over(self) from refusal
         (raw,) = self._layout.unpack(data)
         return applied(command, raw * self._scale + self._offset)
 
     async def _control(self, data: bytes) -> None:
         await self._ask(services.InputOutputControlByIdentifier, self._did + data)
+
+
+def _session_is_over(user: UdsActuator) -> DeviceLostError:
+    return DeviceLostError(user.name, "its session is over: it has restarted")
 
 
 def _is_pending(message: bytes) -> bool:
