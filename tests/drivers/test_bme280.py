@@ -22,7 +22,7 @@ from esair.drivers.bme280 import (
     pressure_of,
 )
 from esair.drivers.bme280.fake import CALIBRATION, FakeBme280
-from esair.exceptions import DeviceFaultError
+from esair.exceptions import DeviceFaultError, DeviceLostError
 from esair.testing import FakeI2c, SensorContract
 
 NONE = Calibration((0, 0, 0), (0,) * 9, (0,) * 6)
@@ -187,14 +187,14 @@ async def test_another_chip_at_the_address_is_refused(found: int, what: str) -> 
 
 
 @pytest.mark.virtual_clock
-async def test_a_chip_that_lost_its_power_is_at_fault() -> None:
+async def test_a_chip_that_has_lost_its_power_is_lost() -> None:
     """Its settings are gone: what it gives is not taken for a value."""
     chip = FakeBme280()
     sensor = await sensor_on(chip)
     await sensor.read()
 
     chip.write(0xE0, b"\xb6")
-    with pytest.raises(DeviceFaultError, match=r"settings are gone.*lost its power"):
+    with pytest.raises(DeviceLostError, match=r"settings are gone.*lost its power"):
         await sensor.read()
 
     await sensor.open()

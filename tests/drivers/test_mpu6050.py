@@ -19,7 +19,7 @@ from esair.drivers.mpu6050 import (
     encode_motion,
 )
 from esair.drivers.mpu6050.fake import AT_REST, FakeMpu6050
-from esair.exceptions import DeviceFaultError
+from esair.exceptions import DeviceFaultError, DeviceLostError
 from esair.testing import FakeI2c, SensorContract
 
 
@@ -124,7 +124,7 @@ async def test_no_sample_of_one_range_is_read_in_another() -> None:
 
 
 @pytest.mark.virtual_clock
-async def test_a_chip_that_has_lost_its_power_is_at_fault() -> None:
+async def test_a_chip_that_has_lost_its_power_is_lost() -> None:
     """It sleeps and gives zeros, which would look like free fall at rest."""
     chip = FakeMpu6050()
     imu = await sensor_on(chip)
@@ -132,7 +132,7 @@ async def test_a_chip_that_has_lost_its_power_is_at_fault() -> None:
     await imu.read()
 
     chip.write(PWR_MGMT_1, b"\x80")
-    with pytest.raises(DeviceFaultError, match="lost its power"):
+    with pytest.raises(DeviceLostError, match="lost its power"):
         await imu.read()
 
     await imu.open()
@@ -148,7 +148,7 @@ async def test_a_wire_that_nobody_pulls_down_is_no_motion(
     imu = await sensor_on(chip)
     await imu.open()
     monkeypatch.setattr(chip, "read", lambda _register, length: b"\xff" * length)
-    with pytest.raises(DeviceFaultError, match="every byte is 0xff"):
+    with pytest.raises(DeviceLostError, match="every byte is 0xff"):
         await imu.read()
 
 

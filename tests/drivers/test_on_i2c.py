@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import errno
 import re
 
 import pytest
 
+import esair
 from esair import config
 from esair.drivers.ads1115 import Ads1115
+from esair.drivers.ads1115.fake import FakeAds1115
 from esair.drivers.bme280 import Bme280
+from esair.drivers.bme280.fake import FakeBme280
 from esair.drivers.mpu6050 import Mpu6050
+from esair.drivers.mpu6050.fake import FakeMpu6050
 from esair.drivers.pca9685 import PwmChannel
 from esair.drivers.pca9685.servo import PwmServo
 from esair.exceptions import ConfigError, DeviceFaultError, DeviceLostError
@@ -48,6 +54,37 @@ async def test_a_part_that_answers_wrongly_is_at_fault(part, options) -> None:
 
     with pytest.raises(DeviceFaultError):
         await device.open()
+
+
+class Look(esair.Behavior):
+    """Reads the chip, whatever it answers."""
+
+    chip = esair.reads(object)
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.02):
+            with contextlib.suppress(DeviceFaultError, DeviceLostError):
+                await self.chip.read()
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("RES-3", "RES-4")
+@pytest.mark.parametrize(
+    ("part", "fake"),
+    [(Mpu6050, FakeMpu6050), (Bme280, FakeBme280), (Ads1115, FakeAds1115)],
+)
+async def test_a_chip_that_restarts_while_it_is_read_is_soon_back(part, fake) -> None:
+    """However often: that is no wrong answer, of which few are forgiven."""
+    chip = fake()
+    bus = FakeI2c(chips={part.addresses[0]: chip})
+    device = part(name="chip", bus=bus, rate=20.0)
+    async with esair.Robot(resources=[device], behaviors=[Look()]) as robot:
+        for _ in range(5):
+            await asyncio.sleep(7.3)
+            chip.power_cycle()
+        await asyncio.sleep(1.0)
+        seen = robot.resources.query("chip")
+        assert (seen.state, seen.faults) == (esair.ResourceState.READY, 0)
 
 
 @pytest.mark.parametrize(("part", "options"), PARTS)

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Unpack
 import attrs
 
 from esair.drivers._on_chip import OnChip
-from esair.exceptions import DeviceFaultError
+from esair.exceptions import DeviceFaultError, DeviceLostError
 from esair.resources import Sensor, SensorSettings, setting
 
 __all__ = ["Bme280", "Calibration", "Climate", "compensate"]
@@ -212,7 +212,7 @@ class Bme280(OnChip, Sensor[Climate]):
         # The settings too, which a chip forgets that was without power.
         block = await self.bus.read(self.address, CTRL_HUM, DATA + 8 - CTRL_HUM)
         if self._told != (block[0] & 0x07, block[CONFIG - CTRL_HUM] >> 2 & 0x07):
-            raise DeviceFaultError(
+            raise DeviceLostError(
                 self.name, "its settings are gone: it has lost its power"
             )
         try:

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Unpack
 import attrs
 
 from esair.drivers._on_chip import OnChip
-from esair.exceptions import DeviceFaultError
+from esair.exceptions import DeviceLostError
 from esair.resources import Sensor, SensorSettings, setting
 
 __all__ = ["Motion", "Mpu6050", "decode_motion", "encode_motion"]
@@ -146,7 +146,7 @@ class Mpu6050(OnChip, Sensor[Motion]):
             told = (
                 f"every byte is {block[0]:#x}: the chip sleeps, it has lost its power"
             )
-            raise DeviceFaultError(self.name, told)
+            raise DeviceLostError(self.name, told)
         return decode_motion(block, *steps)
 
     async def is_set_up(self) -> bool:
