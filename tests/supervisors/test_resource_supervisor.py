@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from dataclasses import dataclass
 from typing import Any, Optional, Protocol, TypedDict
 
+import attrs
 import pytest
 
 import esair
@@ -426,3 +428,50 @@ async def test_a_declared_type_is_a_type(fake_sensor: Any, kind: Any) -> None:
             resources=[fake_sensor("sonar", 1.0)], behaviors=[user]
         ).__aenter__()
     assert "user: sonar: expected a type" in str(caught.value.exceptions[0])
+
+
+@dataclass
+class Pump(esair.Actuator[float]):
+    """A device whose class compares its fields, and so has no hash."""
+
+    pin: int = 3
+    safe = 0.0
+
+    async def write(self, command: float) -> None:
+        """Nothing is connected."""
+
+
+async def test_a_device_may_be_a_dataclass() -> None:
+    """What can be compared and has no hash is opened like any other."""
+    async with esair.Robot(resources=[Pump(pin=4)]) as robot:
+        assert robot.resources.query("pump").state is ResourceState.READY
+
+
+class Lamp(esair.Sensor["Light"]):
+    """A sensor of a type that its module defines below it."""
+
+    async def read(self) -> Light:
+        return Light("red")
+
+
+@attrs.frozen
+class Light:
+    """What it shows."""
+
+    color: str
+
+
+class Stop(esair.Reaction):
+    """Reads it by its class."""
+
+    lamp = esair.reads(Light)
+    pump = esair.writes(float)
+
+    def react(self, lamp: Light) -> float:
+        return 0.0 if lamp.color == "red" else 1.0
+
+
+async def test_a_type_may_be_named_before_it_is_defined() -> None:
+    """A type in quotes is the class of that name in its module."""
+    async with esair.Robot(resources=[Lamp(), Pump()], behaviors=[Stop()]) as robot:
+        assert robot.resources.query("lamp").state is ResourceState.READY

@@ -318,19 +318,19 @@ def _circle(plan: Plan, derived: Derived[Any]) -> list[str]:
     return []
 
 
-def depths(resources: Sequence[Resource]) -> dict[Resource, int]:
+def depths(resources: Sequence[Resource]) -> dict[str, int]:
     """Return how many computations come before each resource, one of the other."""
-    known = {name_of(each): each for each in resources}
-    found: dict[Resource, int] = {}
+    known = {each.name: each for each in resources}
+    found: dict[str, int] = {}
 
-    def depth(each: Resource) -> int:
-        if each not in found:
-            found[each] = 0  # were it a circle, it would end here
-            if isinstance(each, Derived):
-                below = (known.get(need.resource) for need in each.inputs.values())
-                found[each] = 1 + max((depth(b) for b in below if b), default=0)
-        return found[each]
+    def depth(name: str) -> int:
+        if name not in found:
+            found[name] = 0  # were it a circle, it would end here
+            if isinstance(each := known.get(name), Derived):
+                below = (depth(need.resource) for need in each.inputs.values())
+                found[name] = 1 + max(below, default=0)
+        return found[name]
 
-    for each in resources:
+    for each in known:
         depth(each)
     return found

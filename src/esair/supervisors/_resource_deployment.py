@@ -396,7 +396,8 @@ class ResourceDeployment:
         if self._seats is not None:
             await self._seats.ready()
         # What is computed of others comes when they are there.
-        for resource in sorted(resources, key=depths(resources).__getitem__):
+        depth = depths(resources)
+        for resource in sorted(resources, key=lambda each: depth[each.name]):
             self.deploy(resource)
         errors: list[Exception] = []
         for life in tuple(self.lives.values()):
