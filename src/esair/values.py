@@ -142,6 +142,8 @@ def value_type(cls: type, base: type) -> Any:
             origin = typing.get_origin(generic)
             if inspect.isclass(origin) and issubclass(origin, base):
                 (argument, *_) = typing.get_args(generic)
+                if isinstance(argument, typing.ForwardRef):
+                    return _resolved(argument.__forward_arg__, klass)
                 return Any if isinstance(argument, typing.TypeVar) else argument
     return Any
 
