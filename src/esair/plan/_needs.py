@@ -8,7 +8,7 @@ from typing import Any, Final
 from esair.actions import Behavior, Derived, Guards, Need, Reaction, Reads, Writes
 from esair.exceptions import AccessDeniedError, UnknownNameError, did_you_mean
 from esair.messages import Access, BehaviorsPolicy, Policy
-from esair.plan._plan import Finding, Plan, mistake, name_of, warning
+from esair.plan._plan import Finding, Plan, mistake, warning
 from esair.resources import APPLIED, Actuator, Resource, Sensor
 from esair.values import is_positive, same_type, type_name
 
