@@ -42,7 +42,24 @@ def escape_traceback(record: logging.LogRecord) -> bool:
     return True
 
 
-logging.getLogger("esair").addFilter(escape_traceback)
+def contained(
+    handle: Callable[[logging.LogRecord], None],
+) -> Callable[[logging.LogRecord], None]:
+    """Have no filter and no handler end whoever writes a line, be it the loop itself."""
+
+    def handle_line(record: logging.LogRecord) -> None:
+        try:
+            handle(record)
+        except Exception:
+            _nobodys.handleError(record)
+
+    return handle_line
+
+
+_nobodys = logging.Handler()  # says by what it was raised, as Python's own handlers do
+_log = logging.getLogger("esair")
+_log.addFilter(escape_traceback)
+vars(_log)["handle"] = contained(_log.handle)
 
 
 class Beside:
