@@ -205,3 +205,27 @@ async def test_a_stop_amid_a_replacement_lets_the_old_device_be_closed() -> None
         assert closed == ["motor"]
         with pytest.raises(esair.StoppingError):
             await replacing
+
+
+class Closing(Slow):
+    """Takes its time to close, too."""
+
+    async def close(self) -> None:
+        await asyncio.sleep(0.3)
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("ROB-2", "CALL-2")
+async def test_a_stop_knows_that_the_old_one_is_safe() -> None:
+    """It was told so and has answered, before it was closed."""
+    old = Closing()
+    async with esair.Robot(resources=[old], behaviors=[Drive()]) as robot:
+        await asyncio.sleep(0.1)
+        replacing = asyncio.ensure_future(robot.resources.replace("motor", Slow()))
+        await asyncio.sleep(0.2)
+        await robot.stop("amid its close")
+        with pytest.raises(esair.StoppingError):
+            await replacing
+
+    assert old.commands[-1] == 0.0
+    assert robot.stopped[0].answered

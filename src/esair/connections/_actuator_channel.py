@@ -205,8 +205,8 @@ class ActuatorChannel(Device):
         wire, told = self.wire, self.wire.told
         self.state: ResourceState = state
         self.error = error
-        taken_away = told.is_safe and state is ResourceState.REMOVED
-        if told.error == "" and not taken_away:
+        goes = state is ResourceState.REMOVED or type(error) is BeingReplacedError
+        if told.error == "" and not (goes and told.is_safe):
             told.error = f"it is {state.value}"
         wire.lane = None
         if wire.applied is not None:
