@@ -61,6 +61,18 @@ main(sys.argv[1:])
 """
 
 
+INTERRUPTED = """
+import sys
+class Finder:
+    def find_spec(self, name, *rest):
+        if name == "esair.config":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Finder())
+from esair.cli import main
+main(sys.argv[1:])
+"""
+
+
 ASCII = """
 import sys
 sys.stdout.reconfigure(encoding="ascii", errors="strict")
@@ -170,6 +182,15 @@ def test_ctrl_c_before_a_verb_has_begun_is_no_traceback(
 
     assert esair_command("check", "robot.toml") == 130
     assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.real_clock
+def test_ctrl_c_while_esair_is_imported_is_no_traceback(start, tmp_path) -> None:
+    """Nothing was begun yet."""
+    process = start("check", "robot.toml", cwd=tmp_path, code=INTERRUPTED)
+
+    assert process.communicate(timeout=60) == ("", "")
+    assert process.returncode == 130
 
 
 @pytest.mark.long

@@ -191,6 +191,20 @@ def test_nobody_needs_to_see_the_log(folder, start) -> None:
     assert sent(where)[-1] == 0.0
 
 
+def test_a_full_disk_keeps_no_robot_from_running(folder, start) -> None:
+    """What it says at its start has no room on it."""
+    where = folder("Once")
+    code = (
+        "import os, sys; os.dup2(os.open('/dev/full', os.O_WRONLY), 2); "
+        "os.execv(sys.executable, [sys.executable, '-m', 'esair', 'run', 'robot.toml'])"
+    )
+    process = start(cwd=where, code=code)
+    process.communicate(timeout=60)
+
+    assert process.returncode == 0
+    assert 1.0 in sent(where)
+
+
 @pytest.mark.parametrize("behavior", ["Which", "Always"])
 @pytest.mark.long
 def test_it_runs_on_uvloop(folder, start, behavior) -> None:

@@ -4,6 +4,24 @@ Exit codes: 0 done; 1 not done, or ``esair check`` found an error; 2 the command
 file or an installation cannot be used; 3 a replay differs; 128 + n signal n ended it.
 """
 
-from esair.cli._main import main
+import sys
+from collections.abc import Sequence
+from typing import Final
 
 __all__ = ["main"]
+
+INTERRUPTED: Final = 130  # The exit code after Ctrl-C: 128 and the number of SIGINT
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run one verb and end the process with its exit code.
+
+    Args:
+        arguments: The words after ``esair``; those of this process unless given.
+    """
+    try:
+        from esair.cli import _main  # it takes a moment, in which Ctrl-C may come
+
+        _main.main(arguments)
+    except KeyboardInterrupt:  # before the verb has taken care of it, or once more
+        sys.exit(INTERRUPTED)

@@ -18,6 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from esair import discovery
+from esair.cli import INTERRUPTED
 from esair.cli._errors import CANNOT_USE, tell
 from esair.discovery import Device, Plugs, Wakes
 from esair.exceptions import EsairError, describe
@@ -25,7 +26,6 @@ from esair.exceptions import EsairError, describe
 NOT_FOUND: Final = 1
 """The exit code if nothing was unplugged in time, or a bus could not be scanned."""
 
-INTERRUPTED: Final = 130  # The exit code after Ctrl-C
 GLANCE: Final = 0.5  # How often to look if udev says nothing, in seconds
 SETTLE: Final = 0.5  # How long the parts of one device may take to go, in seconds
 

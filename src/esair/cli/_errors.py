@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import sys
@@ -48,10 +49,16 @@ def show(line: str, stream: TextIO | None = None) -> None:
     print(line, file=stream)
 
 
+def say(line: str) -> None:
+    """Write a line to the standard error, if it takes one: nothing depends on it."""
+    with contextlib.suppress(OSError):  # a full disk, a reader that has gone
+        show(line, sys.stderr)
+
+
 def tell(message: str) -> None:
     """Write a message to the standard error."""
     for line in f"esair: {message}".split("\n"):
-        show(line, sys.stderr)
+        say(line)
 
 
 def exit_code_of(error: Exception) -> int | None:

@@ -19,16 +19,11 @@ if TYPE_CHECKING:
 
 _NEEDED: Final = ("cyclopts", "rich")
 
-INTERRUPTED: Final = 130  # The exit code after Ctrl-C: 128 and the number of SIGINT
 CANNOT_WRITE: Final = 1  # The exit code if there is no room for what is to be written
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run one verb and end the process with its exit code.
-
-    Args:
-        arguments: The words after ``esair``; those of this process unless given.
-    """
+def main(arguments: Sequence[str] | None) -> None:
+    """Run one verb and end the process with its exit code."""
     for package in _NEEDED:
         if importlib.util.find_spec(package) is None:
             tell(f'the command line needs {package}: pip install "esair[cli]"')
@@ -48,8 +43,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except SystemExit as end:  # rich has met a reader that has seen enough
         if not isinstance(end.__context__, BrokenPipeError):
             raise
-    except KeyboardInterrupt:  # before the verb has taken care of it, or once more
-        code = INTERRUPTED
     except OSError as error:
         if error.errno != errno.ENOSPC:
             raise

@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import attrs
-from rich.console import Console
-from rich.text import Text
 
 import esair
 from esair import config
-from esair.cli._errors import CANNOT_USE, NOT_DONE, counted, tell, wrong_seconds
+from esair.cli._errors import CANNOT_USE, NOT_DONE, counted, say, tell, wrong_seconds
 from esair.cli._log import shown_log
 from esair.cli._options import Running
 from esair.exceptions import EsairError
@@ -73,7 +71,6 @@ def _drive(
 ) -> int:
     """Run the robot of a file until it ends, or until a signal."""
     wrong = wrong_seconds(options.seconds)
-    console = Console(stderr=True, highlight=False)
     described = config.load(file, simulated=simulated)
     sys.path.insert(0, str(file.resolve().parent))  # modules imported while it runs
     extra, mistakes = _extra(described, options)
@@ -85,7 +82,7 @@ def _drive(
     robot = config.build(
         described, lambda **given: esair.Robot(**{"socket": True, **given, **extra})
     )
-    console.print(_headline(described))
+    say(_headline(described))
     try:
         with shown_log(verbose=options.verbose, tracebacks=options.traceback):
             esair.run(robot, duration=options.seconds, loop_factory=loop_factory)
@@ -155,15 +152,11 @@ def _page(known: Any, words: list[str], insecure: Any) -> esair.Page:
     return attrs.evolve(known or esair.Page(), **changes)
 
 
-def _headline(described: config.Description) -> Text:
-    text = Text(described.name, "bold")
-    text.append(" (simulated)" if described.simulated else "", "cyan")
-    text.append(
-        f": {counted(len(described.resources), 'device')}, "
-        f"{counted(len(described.behaviors), 'behavior')}; Ctrl-C stops it",
-        "not bold",
-    )
-    return text
+def _headline(described: config.Description) -> str:
+    devices = counted(len(described.resources), "device")
+    behaviors = counted(len(described.behaviors), "behavior")
+    simulated = " (simulated)" if described.simulated else ""
+    return f"{described.name}{simulated}: {devices}, {behaviors}; Ctrl-C stops it"
 
 
 def _not_started(*errors: Exception) -> int:
