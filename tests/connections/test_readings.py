@@ -100,6 +100,34 @@ async def test_a_reading_of_another_type_is_bad(
             await user.sonar.read(fresh=True)
 
 
+@pytest.mark.promise("SC-3", "AC-1")
+@pytest.mark.parametrize("bad", ["near", True, b"", (1.0,)])
+async def test_one_of_several_types_is_no_other(bad: Any, user_of: Any) -> None:
+    """A sensor that gives a number or None, an actuator that takes one or a word."""
+    sonar = FakeSensor[float | None]("sonar", None, type=float | None)
+
+    class Lamp(esair.Actuator[float | str]):
+        safe = 0.0
+        command_timeout = 9.0
+
+        async def write(self, command: float | str) -> None: ...
+
+    several: tuple[Any, Any] = (float | None, float | str)
+    ports = {"sonar": esair.reads(several[0]), "lamp": esair.writes(several[1])}
+    user = user_of("u", **ports)
+    async with esair.Robot(resources=[sonar, Lamp()], behaviors=[user]):
+        assert await user.sonar.read(fresh=True) is None
+        assert await user.lamp.write("blink")
+        sonar.feed(bad)
+        with pytest.raises(esair.DeviceFaultError, match="expected float"):
+            await user.sonar.read(fresh=True)
+        if bad != "near":
+            with pytest.raises(esair.BadValueError, match="expected float"):
+                await user.lamp.write(bad)
+        sonar.feed(0.5)
+        assert await user.sonar.read(fresh=True) == 0.5
+
+
 @pytest.mark.promise("SC-3")
 async def test_whole_numbers_have_limits_too(user_of: Any) -> None:
     """Of a value that is none within, there is no reading."""

@@ -547,6 +547,36 @@ def test_what_is_no_finding(number: int, lasts: float, steps: tuple[Step, ...]) 
     assert world.done.total() == len(steps)
 
 
+class Eye(esair.Sensor[Any]):
+    """It does not say what it gives."""
+
+    rate = 20.0
+
+    async def read(self) -> bool:
+        return True
+
+
+class Turn(esair.Reaction):
+    eye = esair.reads(bool, max_age=0.3)
+    wheels = esair.writes(float)
+
+    def react(self, eye: bool) -> float:
+        return 0.1 if eye else 0.4
+
+
+@pytest.mark.parametrize("how", ["nothing", "type", "nan"])
+def test_of_a_sensor_that_says_no_type_all_but_nan_is_believed(how: str) -> None:
+    """So nobody was blind who decided on it; of what is no number, nobody decides."""
+
+    def make() -> esair.Robot:
+        return esair.Robot(resources=[Eye(), Wheels()], behaviors=[Turn()])
+
+    story = Story(0, (Step(0.3, "wrong", "eye", lasts=1.0, how=how),), 2.0)
+    world = World(Target("robot", make), story)
+    assert world.run().violations == ()
+    assert world.done.total() == 1
+
+
 HOLDS = """
 import math
 

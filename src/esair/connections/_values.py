@@ -36,6 +36,7 @@ from esair.messages import Stamped
 from esair.resources import HOLD, Actuator, Sensor
 from esair.values import (
     checked_class,
+    fits,
     hints_of,
     passes_as,
     type_name,
@@ -233,6 +234,7 @@ class CommandCheck:
     def __init__(self, actuator: Actuator[Any]) -> None:
         self.name: str = actuator.name
         self.wanted: type | None = checked_class(actuator.value_type)
+        self._kind = actuator.value_type
         self._clamp = actuator.clamp
         overridden = type(actuator).check is not Actuator.check
         self._own_check = actuator.check if overridden else None
@@ -315,6 +317,9 @@ class CommandCheck:
         try:
             if wanted is not None and type(command) is not wanted:
                 command = self._accept(command, wanted)
+            elif wanted is None and not fits(command, self._kind):
+                told = f"expected {type_name(self._kind)}, not {command!r:.80}"
+                raise self._bad("", told)
             if self._length and len(command) != self._length:
                 raise self._bad(
                     "", f"expected {self._length} values, not {command!r:.80}"
@@ -484,8 +489,9 @@ class ReadingCheck:
     """
 
     def __init__(self, sensor: Sensor[Any]) -> None:
-        self._wanted = checked_class(sensor.value_type)
-        self.is_open: bool = not is_fixed(sensor.value_type)
+        self._kind = sensor.value_type
+        self._wanted = checked_class(self._kind)
+        self.is_open: bool = not is_fixed(self._kind)
         """Whether one who reads a value could change it for others."""
         limit = sensor.max_repeat
         self.frozen: FrozenCheck | None = None if limit is None else FrozenCheck(limit)
@@ -517,12 +523,8 @@ class ReadingCheck:
 
     def _any(self, value: Any) -> str | None:
         wanted = self._wanted
-        if wanted is not None and type(value) is not wanted:
-            number = wanted is int or wanted is float
-            if (number and isinstance(value, bool)) or not (
-                isinstance(value, wanted) or passes_as(value, wanted)
-            ):
-                return f"expected {type_name(wanted)}, it gave {value!r:.80}"
+        if type(value) is not wanted and not fits(value, self._kind):
+            return f"expected {type_name(self._kind)}, it gave {value!r:.80}"
         if type(value) is float:
             if not math.isfinite(value):
                 return f"expected a finite number, it gave {value!r}"

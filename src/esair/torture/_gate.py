@@ -25,6 +25,7 @@ from esair.torture._values import (
     same,
     wrong,
 )
+from esair.values import fits
 
 if TYPE_CHECKING:
     from esair.torture._judge import Judge
@@ -120,7 +121,7 @@ class Gate:
         self._moods = random.Random(seed)
         self._judge = judge
         self._last: Any = None
-        self._good: Any = None
+        self._good: Any = self
         self._install(alone)
 
     # In front of the driver.
@@ -260,7 +261,11 @@ class Gate:
     def _reading(self, value: Any) -> Any:
         if bad := self._fault("wrong"):
             value = wrong(value, bad.how)
-            self._good = value if bad.how == "huge" else None
+            # Of a sensor that does not say what it gives anything is believed.
+            passes = bad.how in {"nothing", "type"} and fits(
+                value, self.resource.value_type
+            )
+            self._good = value if passes or bad.how == "huge" else self
             return value
         if self._fault("stuck"):
             value = self._last
@@ -274,7 +279,7 @@ class Gate:
         if name != "identify":
             self._opens = name == "open"
         is_first = opened and hasattr(self.resource, "initial")
-        if is_first or (value is not None and value is self._good):
+        if is_first or (name in {"read", "stream"} and value is self._good):
             self.heard = self._loop.time()
 
     async def _wait(self, seconds: float) -> None:
