@@ -163,19 +163,32 @@ async def test_a_stop_ends_an_enabling(wire: FakeCan, far: FakeDrive) -> None:
         assert state_of(far) is not State.ENABLED
 
 
-async def test_the_watchdogs_frames_stop_it(wire: FakeCan, far: FakeDrive) -> None:
-    """As bytes for the socket, also where a PDO waits for a SYNC."""
-    drive = made(Drive, wire, sync=0.01)
+@pytest.mark.promise("GRD-2")
+@pytest.mark.parametrize(
+    ("stop", "left"), [("quick_stop", State.DISABLED), ("halt", State.ENABLED)]
+)
+async def test_the_watchdogs_frames_stop_it_as_its_safe_command(
+    wire: FakeCan, far: FakeDrive, stop: Any, left: State
+) -> None:
+    """As bytes for the socket, told at the opening; also where a PDO waits for a SYNC."""
+    drive = made(Drive, wire, sync=0.01, stop=stop)
+
+    async def send() -> None:
+        for frame in frames:
+            number, length = int.from_bytes(frame[:4], "little"), frame[4]
+            await wire.send(number, frame[8 : 8 + length])
+        await asyncio.sleep(0.2)
+
     async with opened(drive):
+        frames = drive.safe_frames().frames
+        await send()
+        assert (far.velocity, state_of(far)) == (0, State.DISABLED)
         await drive.write(1000.0)
         await asyncio.sleep(0.5)
         assert far.velocity == 1000
         drive._sync._task.cancel()  # this process hangs
-        for frame in drive.safe_frames().frames:
-            number, length = int.from_bytes(frame[:4], "little"), frame[4]
-            await wire.send(number, frame[8 : 8 + length])
-        await asyncio.sleep(0.1)
-        assert (far.velocity, state_of(far)) == (0, State.DISABLED)
+        await send()
+        assert (far.velocity, state_of(far)) == (0, left)
 
 
 @pytest.mark.parametrize(("one", "other"), [(0.02, 1.0), (1.0, 0.02)])

@@ -380,11 +380,13 @@ class DriveActuator(OnDrive):
 
     def safe_frames(self) -> SafeFrames:
         """Stop, in the PDO of commands, with its SYNC; and once more by SDO."""
-        data = struct.pack("<Hi", self._stop_word, 0)
+        # Asked for before it is enabled: until then it ignores the word that holds it.
+        told = QUICK_STOP if self.stop == "quick_stop" else ENABLE | HALT
+        data = struct.pack("<Hi", told, 0)
         frames = [can_frame(0x200 + self.node, data)]
         if self.sync is not None:
             frames.append(can_frame(SYNC, b""))
-        word = struct.pack("<H", self._stop_word)
+        word = struct.pack("<H", told)
         return SafeFrames([*frames, *sdo_frames(self.node, CONTROLWORD, 0, word)])
 
     def heed(self, emergency: Emergency) -> None:
