@@ -69,6 +69,28 @@ def root(tmp_path, monkeypatch) -> Path:
     return made
 
 
+@pytest.mark.fault("D06")
+@pytest.mark.parametrize("kind", ["hwmon", "pwm"])
+def test_a_part_that_has_the_number_of_another_now_is_not_taken_for_it(
+    root, kind
+) -> None:
+    """The kernel gives a number anew: that is a link in its folder of the class."""
+    link = root / f"class/{kind}" / {"hwmon": "hwmon0", "pwm": "pwmchip0"}[kind]
+    link.rename(root / "mine")
+    link.symlink_to(root / "mine")
+    device: Any = SysfsSensor(device="hwmon:hwmon0", value="temp1")
+    if kind == "pwm":
+        device = SysfsActuator(device="pwm:pwmchip0/1")
+    device.open()
+    shutil.copytree(root / "mine", root / "another")
+    shutil.rmtree(root / "mine")
+    link.unlink()
+    link.symlink_to(root / "another")
+
+    with pytest.raises((DeviceLostError, FileNotFoundError)):
+        device.read() if kind == "hwmon" else device.write(1.0)
+
+
 @pytest.mark.parametrize(
     ("device", "value", "wanted"),
     [

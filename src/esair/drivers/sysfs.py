@@ -120,7 +120,7 @@ class _OnSysfs(Resource):
             if name in {folder.name, told, _device_of(folder)}
         ]
         if len(found) == 1:
-            return found[0]
+            return found[0].resolve()  # another part may have its number later
         if found:
             told = " or ".join(f"{self.kind}:{_device_of(each)}" for each in found)
             raise DeviceFaultError(
