@@ -60,6 +60,26 @@ async def test_silence_is_waited_for_as_long_as_something_is_owed(
     assert loop.time() == pytest.approx(0.6, abs=0.02)
 
 
+@pytest.mark.promise("ROB-5", "BUS-3")
+def test_what_is_owed_ends_in_the_next_event_loop_too() -> None:
+    """A robot that is run again has the same devices; its clock went with its loop."""
+    exchanges = Exchanges(FakeSerial("front"), late_limit=0.05)
+
+    async def send(_left: float) -> None: ...
+
+    async def ask() -> None:
+        with pytest.raises(TimeoutError):
+            await exchanges.ask(send, b"a", timeout=0.01)
+
+    async def wait() -> None:
+        await exchanges.silence()
+        assert not exchanges.unanswered
+
+    asyncio.run(ask())
+    assert exchanges.unanswered
+    asyncio.run(wait())
+
+
 @pytest.mark.promise("BUS-3")
 async def test_a_late_answer_is_never_that_to_another_request(line: FakeSerial) -> None:
     """Twenty requests to a board that is slower than they wait: none is answered wrongly."""

@@ -185,7 +185,8 @@ class Exchanges:
     async def take_turn(self, exchange: Exchange) -> None:
         """Wait until an exchange may leave."""
         for owed, deadline in self.unanswered.items():
-            if deadline is None:
+            if deadline is None or owed.loop is not exchange.loop:  # that one has ended
+                owed.loop = exchange.loop
                 self._owe(owed, self._late_limit)
         if self.now is None and not self.is_owed_to(exchange):
             self.now = exchange
