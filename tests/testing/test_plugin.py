@@ -99,6 +99,32 @@ def test_who_would_not_run_on_the_virtual_clock_fails(outcomes, head, mode) -> N
     assert outcomes(source, "-o", f"asyncio_mode={mode}") == {"errors": 1}
 
 
+CASE = """
+import unittest
+
+class TestIt(unittest.IsolatedAsyncioTestCase):
+    @pytest.fixture(autouse=True)
+    def devices(self, fake_sensor):
+        self.sonar = fake_sensor("sonar", 1.0)
+
+    async def test_it(self):
+        assert self.sonar.name == "sonar"
+"""
+
+
+def test_a_case_of_unittest_is_told_what_to_write(outcomes, capsys) -> None:
+    """pytest-asyncio does not run it, whatever its mode."""
+    assert outcomes(CASE) == {"errors": 1}
+    assert "a plain class" in capsys.readouterr().out
+
+
+def test_a_case_of_unittest_may_have_the_real_clock(outcomes) -> None:
+    """It has a loop of its own."""
+    source = CASE.replace("class TestIt", "@pytest.mark.real_clock\nclass TestIt")
+
+    assert outcomes(source) == {"passed": 1}
+
+
 LEAKS = {
     "task": "asyncio.get_running_loop().create_task(asyncio.sleep(1e6))",
     "thread": "threading.Thread(target=OVER.wait).start()",
@@ -141,6 +167,26 @@ class TestIt:
         await clean(fake_sensor)
 """
     assert outcomes(source, "-rE") == {"passed": 3, "errors": 1}
+
+
+@pytest.mark.parametrize("shared", SCOPES[1:])
+def test_what_tests_share_is_no_leak_of_the_first_one(outcomes, shared) -> None:
+    """It is made for the first one, and is there until the last one has ended."""
+    source = f"""
+@pytest.fixture(scope={shared!r})
+def file():
+    number = os.open(os.devnull, os.O_RDONLY)
+    yield number
+    os.close(number)
+
+class TestIt:
+    async def test_one(self, fake_sensor, file):
+        pass
+
+    async def test_two(self, fake_sensor, file):
+        pass
+"""
+    assert outcomes(source) == {"passed": 2}
 
 
 def test_the_default_scope_of_the_project_counts(outcomes) -> None:

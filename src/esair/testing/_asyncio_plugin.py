@@ -43,7 +43,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if uses_kit(item) and isinstance(
             item, pytest_asyncio.plugin.PytestAsyncioFunction
         ):
-            item.fixturenames.insert(0, f"esair_no_leaks_{_loop_scope(item)}")
+            check = f"esair_no_leaks_{_loop_scope(item)}"
+            item.fixturenames.insert(_first_of_its_own(item), check)
+
+
+def _first_of_its_own(item: pytest.Function) -> int:
+    """Return where the fixtures of one test begin: what others share is no leak."""
+    known = item._fixtureinfo.name2fixturedefs  # noqa: SLF001 - scopes are nowhere else
+    shared = (
+        place
+        for place, name in enumerate(item.fixturenames, 1)
+        if name in known and known[name][-1].scope != "function"
+    )
+    return max(shared, default=0)
 
 
 def _loop_scope(item: pytest.Item) -> str:

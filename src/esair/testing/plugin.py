@@ -10,6 +10,7 @@ would run (anyio's plugin, nothing at all) fails and says so, unless it is marke
 from __future__ import annotations
 
 import inspect
+import unittest
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -82,6 +83,12 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     by_anyio = "anyio_backend" in getattr(item, "fixturenames", ())
     by_asyncio = has_clock(item.config) and item.get_closest_marker("asyncio")
     if asynchronous and on_virtual_clock(item) and (by_anyio or not by_asyncio):
+        if issubclass(getattr(item, "cls", None) or object, unittest.TestCase):
+            pytest.fail(
+                "on the virtual clock of esair no unittest.TestCase is run: write a"
+                " plain class; or mark an IsolatedAsyncioTestCase real_clock",
+                pytrace=False,
+            )
         pytest.fail(
             "on the virtual clock of esair only pytest-asyncio runs a test:"
             " pip install 'esair[test]', set asyncio_mode = \"auto\" (or mark the test"
