@@ -229,3 +229,25 @@ async def test_a_stop_knows_that_the_old_one_is_safe() -> None:
 
     assert old.commands[-1] == 0.0
     assert robot.stopped[0].answered
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("SUP-3", "SUP-5")
+@pytest.mark.parametrize("way", ["removed", "replaced"])
+async def test_what_goes_in_little_time_is_told_to_be_safe(
+    way: str, fake_actuator: Any
+) -> None:
+    """Beside a command that takes longer than the grace period."""
+    old, new = (fake_actuator("motor", safe=0.0) for _ in range(2))
+    old.slow(0.01)
+    robot = esair.Robot(resources=[old], behaviors=[Drive()], grace=0.1)
+    async with robot:
+        await asyncio.sleep(0.1)
+        old.slow(0.0, acknowledge=0.31)
+        await asyncio.sleep(0.1)
+        if way == "removed":
+            await robot.resources.remove("motor")
+        else:
+            await robot.resources.replace("motor", new)
+
+        assert old.commands[-2:] == [0.5, 0.0]

@@ -312,7 +312,7 @@ class SafeCommand:
     _device: ActuatorChannel
     _refused: Deadline = attrs.field(init=False)
     """When it is sent again because the device has refused it."""
-    _last_moment: float = math.inf  # until when the stop of the robot waits for it
+    _last_moment: float = math.inf  # until when the robot waits for it, if it goes
     _pulses: list[asyncio.Future[None]] = attrs.field(factory=list)
     _task: asyncio.Task[bool] | None = None
     _number: int = 0  # of the newest call with the safe command, if that waits
@@ -333,6 +333,7 @@ class SafeCommand:
         if self._task is None:
             self.state = None
         self._number, self._stays = 0, False
+        self._last_moment = math.inf
 
     def make(self, *, stay: bool = False) -> asyncio.Task[bool]:
         """Send the safe command, before anything else; or have it stay where it is."""
@@ -408,7 +409,7 @@ class SafeCommand:
             self._task.cancel()
 
     def latch(self, until: float) -> None:
-        """The robot stops, and waits for it until then."""
+        """The robot stops, or the device goes, and waits for it until then."""
         self._last_moment = until
 
     def pulse(self) -> None:
@@ -457,7 +458,8 @@ class SafeCommand:
         device, wire = self._device, self._wire
         try:
             with device.driver.urgency.raised(SAFE):
-                until = device.time() + self.turn_within
+                now = device.time()
+                until = now + min(self.turn_within, (self._last_moment - now) / 2)
                 if wire.lane is not None and wire.lane.kind == "write":
                     wire.lane.withdraw()
                 while device.time() + REACHED < until:

@@ -337,9 +337,12 @@ class ResourceDeployment:
         await on_buses([bus], "close", within=within, unless=is_used)
 
     async def _make_safe_to_leave(self, name: str, until: float) -> None:
-        await self._make_safe(name, until)
         channel = self.actuators.channels.get(name)
-        if channel is not None and not channel.is_safe:
+        if channel is None:
+            return
+        channel.safe.latch(until)
+        await self._make_safe(name, until)
+        if not channel.is_safe:
             _log.error("%s; it goes, and may move on", channel.told())
 
     async def _make_safe(self, name: str, until: float) -> None:
