@@ -468,6 +468,34 @@ def test_a_number_with_a_point_may_lie_anywhere_in_a_pdo() -> None:
     assert mapped.decode(packed.to_bytes(5, "little")) == -0.75
 
 
+@pytest.mark.promise("SC-3")
+async def test_what_the_file_does_not_know_has_its_place_in_a_pdo(rig: Any) -> None:
+    """Else all behind it would be read from other bits."""
+    wire, node = rig()
+    node.local.sdo[0x1A00][1].raw = 0x2099_0108
+    position = sensor(wire, pdo=True)
+    async with opened(position):
+        stream = position.stream()
+        waiting = asyncio.ensure_future(anext(stream))
+        await asyncio.sleep(0)
+        wire.feed(0x185, b"\xff" + (-77).to_bytes(4, "little", signed=True))
+        assert await waiting == -77
+        await stream.aclose()
+
+
+async def test_each_device_on_a_node_has_the_objects_of_its_own_file(
+    rig: Any, tmp_path: Path
+) -> None:
+    """The node may have been opened for one that knows less of it, as a drive does."""
+    wire, node = rig()
+    node.local.sdo["Gains"]["Integral"].raw = 0.75
+    short = tmp_path / "short.eds"
+    short.write_text(MOTOR.read_text().partition("[ManufacturerObjects]")[0])
+    position, gain = sensor(wire, eds=short), sensor(wire, "Gains.Integral")
+    async with opened(position, gain):
+        assert await gain.read() == 0.75
+
+
 async def test_an_object_that_is_in_no_pdo_is_told(rig: Any) -> None:
     """The set-up of the node decides, not the file."""
     wire, _ = rig()

@@ -28,6 +28,7 @@ Source: CiA 301 (object dictionary, SDO, PDO, NMT, heartbeat); CiA 306 (EDS and 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -59,6 +60,7 @@ with of_extra("canopen"):
         ODVariable,
         import_od,
     )
+    from canopen.sdo import SdoVariable
     from canopen.sdo.exceptions import SdoAbortedError
 
 __all__ = ["CanopenActuator", "CanopenNetwork", "CanopenSensor", "Emergency", "Mapped"]
@@ -202,7 +204,7 @@ class _Object(OnNode):
 
     def _object_of(self, remote: Any) -> Any:
         """The object as canopen reads and writes it, in its thread."""
-        return remote.sdo.get_variable(self.variable.index, self.variable.subindex)
+        return SdoVariable(remote.sdo, self.variable)
 
     def _to_value(self, raw: Any) -> Any:
         if self.factor is not None:
@@ -294,20 +296,28 @@ class CanopenSensor(_Object, Sensor[Any]):
                 yield self._to_value(mapped.decode(frame.data))
 
     def _find_mapped(self) -> Mapped:
-        """Find a PDO of the node with the object, in the thread."""
-        wanted = self.variable
-        for pdo in self._remote.tpdo.values():
+        """Find a PDO of the node with the object, in the thread.
+
+        What else is in it need not be in the file.
+        """
+        sdo, wanted = self._remote.sdo, self.variable
+
+        def told(index: int, subindex: int) -> int:
+            return int.from_bytes(sdo.upload(index, subindex), "little")
+
+        for index in filter(self.dictionary.__contains__, range(0x1800, 0x1A00)):
             try:
-                pdo.read()
+                cob_id, count = told(index, 1), told(index + 0x200, 0)
+                entries = [told(index + 0x200, n + 1) for n in range(count)]
             except SdoAbortedError:
                 continue  # the file describes more of them than the node has
-            if not pdo.enabled:
-                continue
-            for mapped in pdo.map:
-                if (mapped.index, mapped.subindex) == (wanted.index, wanted.subindex):
-                    size = (sum(each.length for each in pdo.map) + 7) // 8
-                    place = size, mapped.offset, mapped.length
-                    return Mapped(wanted, pdo.cob_id, *place)
+            ends = list(itertools.accumulate(entry & 0xFF for entry in entries))
+            for entry, end in zip(entries, ends, strict=True):
+                place = wanted.index << 8 | wanted.subindex
+                if entry >> 8 == place and not cob_id >> 31:
+                    size, length = (ends[-1] + 7) // 8, entry & 0xFF
+                    number = cob_id & 0x1FFF_FFFF
+                    return Mapped(wanted, number, size, end - length, length)
         raise DeviceFaultError(
             self.name, f"the node sends no PDO with {wanted.qualname!r}"
         )
