@@ -60,7 +60,7 @@ with of_extra("canopen"):
         ODVariable,
         import_od,
     )
-    from canopen.sdo import SdoVariable
+    from canopen.sdo.base import SdoVariable
     from canopen.sdo.exceptions import SdoAbortedError
 
 __all__ = ["CanopenActuator", "CanopenNetwork", "CanopenSensor", "Emergency", "Mapped"]
