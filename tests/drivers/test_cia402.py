@@ -12,6 +12,7 @@ import pytest
 from tests.drivers.parts import OnCan, opened
 
 import esair
+from esair.buses import Frame
 from esair.drivers.canopen.drive import Drive, DriveState, State
 from esair.drivers.canopen.fake_drive import FakeDrive
 from esair.drivers.canopen.position import Move, PositionDrive
@@ -147,6 +148,29 @@ async def test_a_command_right_after_a_stop_moves(
         await drive.write(1000.0)
         await asyncio.sleep(0.3)
         assert (state_of(far), far.velocity) == (State.ENABLED, 1000)
+
+
+async def test_a_drive_that_is_halted_goes_on_to_no_position_of_before(
+    wire: FakeCan, far: FakeDrive
+) -> None:
+    """Bit 4 falls and rises while it is halted: frames may be far apart on a full bus."""
+    drive = made(PositionDrive, wire, stop="halt")
+    words: list[int] = []
+
+    def note(frame: Frame) -> None:
+        if frame.id == 0x205:
+            words.append(int.from_bytes(frame.data[:2], "little"))
+
+    async with opened(drive):
+        await drive.write(Move(10_000.0))
+        await asyncio.sleep(0.5)
+        await drive.write(Move(stop=True))
+        await asyncio.sleep(0.5)
+        wire.on_send(note)
+        await drive.write(Move(0.0))
+        assert words == [0x12F, 0x3F]
+        await asyncio.sleep(3.0)
+        assert far.position == pytest.approx(0.0, abs=1.0)
 
 
 async def test_a_stop_ends_an_enabling(wire: FakeCan, far: FakeDrive) -> None:

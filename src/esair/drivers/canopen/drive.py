@@ -368,6 +368,8 @@ class DriveActuator(OnDrive):
         self._is_on = False
         self._is_stopping = False
         self._stopped_at = 0.0
+        self._word = 0
+        """The controlword that it was told last."""
         self._newest = 0
         self._emergency: Emergency | None = None
         self._watching: asyncio.Task[None] | None = None
@@ -466,6 +468,7 @@ class DriveActuator(OnDrive):
     async def _tell(self, mine: int, word: int, value: int) -> None:
         self._check_newest(mine)
         self._connected()
+        self._word = word
         data = struct.pack("<Hi", word, value)
         await self.bus.send(0x200 + self.node, data, replaces=word)
 

@@ -65,9 +65,11 @@ class PositionDrive(DriveActuator, Actuator[Move]):
             await self._stop()
             return None
         value = in_units(command.position, self.factor, self._allowed)
-        # Bit 4 must rise for each position: first without it, then with it.
+        # Bit 4 must rise for each position: first without it, then with it. One that is
+        # halted stays so until then, or it would go on to the position before.
         at_once = profile.ENABLE | profile.AT_ONCE
-        await self._go(at_once, at_once | profile.NEW_SET_POINT, value=value)
+        first = at_once | self._word & profile.HALT
+        await self._go(first, at_once | profile.NEW_SET_POINT, value=value)
         sent = applied(command.position, value * self.factor)
         return None if sent is None else Move(sent)
 
