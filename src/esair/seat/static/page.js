@@ -337,13 +337,14 @@ function hold(direction) {
     push();
   } else if (!taking) {
     taking = true;
-    send("lease", { actuator: byId("actuator").value, seconds: 0.5 }, (found) => {
+    const actuator = byId("actuator").value;
+    send("lease", { actuator, seconds: 0.5 }, (found) => {
       taking = false;
       if (found === null) return;
       lease = found;
       beat = found.beat;
+      if (held === null || byId("actuator").value !== actuator) drop(); // let go before it began
       push();
-      if (held === null) drop(); // let go before it began
     });
   }
 }
