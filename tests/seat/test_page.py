@@ -396,6 +396,29 @@ async def test_a_browser_that_vanishes_releases_the_wheels(served):
 
 
 @pytest.mark.promise("SEC-1")
+class Slow(esair.Sensor[float]):
+    async def read(self) -> float:
+        return 1.0
+
+    @esair.operation
+    async def wait(self) -> None:
+        await asyncio.sleep(60.0)
+
+
+@pytest.mark.promise("OPS-1")
+async def test_who_waits_for_much_can_look_all_the_same(served):
+    """What looks changes nothing, and is not among the acts that are under way."""
+    async with served(resources=[Slow()]) as robot, Browser(robot) as browser:
+        wait = {"act": "operate", "resource": "slow", "operation": "wait"}
+        for number in range(16):
+            await browser.link.send(json.dumps({"v": 1, "id": f"w{number}", **wait}))
+
+        assert not (await browser.do("operate", resource="slow", operation="wait"))[
+            "ok"
+        ]
+        assert (await browser.do("status"))["ok"]
+
+
 def test_another_address_needs_tls_or_a_word():
     """Not by an omission; and the token is never shown."""
     with pytest.raises(esair.ConfigError, match="insecure"):
@@ -989,6 +1012,65 @@ async def test_a_space_stops_as_at_a_terminal(served, chromium):
         await person.key(Keys.ARROW_DOWN, down=False)
 
 
+LATE = (
+    "const take = link.onmessage;"
+    "link.onmessage = (found) => setTimeout(() => take(found), arguments[0]);"
+)
+
+
+@pytest.mark.long
+@pytest.mark.promise("OPS-5")
+async def test_a_picture_that_comes_late_is_not_shown_as_new(served, chromium):
+    """A network that is slow has something to say all the time."""
+    person = Person(chromium, served(Wander()))
+    async with person.robot:
+        await person.opens()
+        await person.runs(LATE, 1500)
+        await person.waits(f"return !(() => {{ {LIVE} }})()")
+        for _ in range(10):
+            assert await person.sees_grey()
+            await asyncio.sleep(0.2)
+
+
+@pytest.mark.promise("OPS-3", "OPS-5")
+async def test_what_comes_too_late_is_not_done(served, chromium):
+    """Who has pressed it has given up meanwhile, and may stand in front of it."""
+    person = Person(chromium, served(Wander()))
+    async with person.robot as robot:
+        await person.opens()
+        robot.halt("a cat")
+        await person.sees("#resume")
+        slow = "const send = link.send.bind(link); link.send = (line) => setTimeout("
+        await person.runs(
+            f"{slow}() => send(line), line.includes('resume') ? 2500 : 0);"
+        )
+        await person.clicks("#resume")
+        told = await person.finds("#told")
+        await eventually(lambda: "resume" in told.text, 10.0)
+        assert robot.halted == "a cat"
+
+
+@pytest.mark.promise("OPS-4", "OPS-5")
+async def test_another_choice_drives_nothing_of_the_last_one(
+    served, chromium, fake_actuator
+):
+    """Its lease is still on its way when the next key is pressed."""
+    tracks = fake_actuator("tracks", safe=Twist(0.0, 0.0))
+    person = Person(chromium, served(resources=[tracks]))
+    async with person.robot as robot:
+        await person.opens()
+        await person.runs(LATE, 300)
+        await person.runs(
+            "for (const name of ['wheels', 'tracks']) {"
+            "  byId('actuator').value = name;"
+            "  byId('actuator').dispatchEvent(new Event('change'));"
+            "  hold([1, 0]);"
+            "}"
+        )
+        await asyncio.sleep(1.5)
+        assert set(robot.wheels.commands) == {STILL}
+
+
 @pytest.mark.long
 @pytest.mark.promise("OPS-5")
 async def test_it_drives_again_when_the_robot_is_back(served, chromium):
@@ -999,6 +1081,7 @@ async def test_it_drives_again_when_the_robot_is_back(served, chromium):
     async with person.robot as robot:
         await person.opens()
         port = port_of(robot)
+        await person.runs("past.set('wheels', [[1e15, {}]])")  # another clock
     await person.waits("return !isConnected()")
     await person.key(Keys.ARROW_DOWN, down=True)
     await person.key(Keys.ARROW_DOWN, down=False)
@@ -1009,6 +1092,7 @@ async def test_it_drives_again_when_the_robot_is_back(served, chromium):
         await person.holds(Keys.ARROW_DOWN)
         await again.wheels.until(Twist(-0.3, 0.0), timeout=5.0)
         await person.key(Keys.ARROW_DOWN, down=False)
+        assert await person.runs("return past.get('wheels')[0][0] < 1e15")
 
 
 @pytest.mark.promise("OPS-3", "OPS-5")

@@ -171,7 +171,7 @@ class Console:
                 self.again += 1
                 return known[1]
             self._check_right(act, str(fields.get(act.about) or ""))
-            if session.busy >= AT_A_TIME and not act.open:
+            if session.busy >= AT_A_TIME and not (act.open or act.looks):
                 raise BusyError("operator", "number of acts at a time", AT_A_TIME)
         except Exception as error:
             self.refused += 1

@@ -3,9 +3,12 @@
 
 const SILENT = 900; // ms without a picture until the page is grey
 const MINUTE = 60000;
+const PATIENCE = 2; // s until an act comes too late: who gave it may have given up
 const byId = (id) => document.getElementById(id);
 let link = null;
-let heard = -Infinity;
+let heard = -Infinity; // when the newest picture was asked for: it is not older
+let newest = null;
+let asked = 0; // how many pictures have not come yet
 let number = 0;
 let beat = 0;
 let lease = null; // {lease, axes} while it drives
@@ -28,8 +31,24 @@ function send(act, fields, then = () => {}) {
   const id = `${own}-${number}`;
   waiting.set(id, then);
   if (waiting.size > 200) waiting.delete(waiting.keys().next().value);
-  link.send(JSON.stringify({ v: 1, id, act, ...fields }));
+  const now = newest && newest.time + (performance.now() - heard) / 1000; // of the robot
+  const until = now === null || ["stop", "release"].includes(act) ? undefined : now + PATIENCE;
+  link.send(JSON.stringify({ v: 1, id, act, until, ...fields }));
 }
+
+// On a slow network pictures that nobody asked for would queue up, and be shown late as if new.
+function look() {
+  if (asked >= 4) return;
+  asked += 1;
+  const when = performance.now();
+  send("status", {}, (found) => {
+    if (found === null) return; // it was refused: the next one would be, too
+    asked -= 1;
+    [heard, newest] = [when, found];
+    show(found);
+  });
+}
+setInterval(look, 250);
 
 function tell(text) {
   byId("told").textContent = text;
@@ -71,7 +90,9 @@ function connect() {
   link = new WebSocket(`${scheme}://${location.host}/operate`);
   link.onopen = () => {
     link.send(shown);
-    send("watch", { every: 0.25 });
+    [asked, newest] = [0, null];
+    past.clear(); // the clock of a robot that comes back may begin anew
+    look();
     send("why", {}, showProtection);
   };
   link.onmessage = (message) => take(JSON.parse(message.data));
@@ -88,10 +109,7 @@ function connect() {
 }
 
 function take(found) {
-  if (found.status) {
-    heard = performance.now();
-    show(found.status);
-  } else if (found.beat) {
+  if (found.beat) {
     beat = found.beat;
     push();
   } else if (found.lapsed) {
