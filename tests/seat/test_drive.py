@@ -15,7 +15,7 @@ from tests.patience import within
 from tests.seat.conftest import STILL, Twist, Wander, eventually
 
 import esair
-from esair.cli._hand import _Wheel, command_of, drive
+from esair.cli._hand import ANSWER, ASK, _Wheel, command_of, drive
 
 pytestmark = pytest.mark.real_clock
 
@@ -273,7 +273,7 @@ class Terminal:
             stdin=slave,
             stdout=slave,
             stderr=slave,
-            env={**os.environ, "COLUMNS": "100"},
+            env={**os.environ, "COLUMNS": "100", "TERM": "xterm"},
         )
         os.close(slave)
         return self
@@ -334,3 +334,67 @@ async def test_q_gives_back_and_leaves(rover, seen):
             assert code == 0
             assert os.read(terminal.keys, 65536).endswith(b"wheels is released\r\n")
             await eventually(lambda: seen.commands[-1] == STILL)
+
+
+class Distant(Terminal):
+    """A terminal that answers, at the other end of a network."""
+
+    cut = False
+
+    def __enter__(self):
+        super().__enter__()
+        self.late = b""
+        asyncio.get_running_loop().add_reader(self.keys, self.shows)
+        return self
+
+    def shows(self):
+        self.press(os.read(self.keys, 65536).count(ASK.encode()) * ANSWER)
+
+    def press(self, keys=b"\x1b[A"):
+        if self.cut:
+            self.late += keys
+        else:
+            super().press(keys)
+
+    def mend(self):
+        """Deliver what was typed, and then what was asked."""
+        self.cut = False
+        keys, answers = self.late.replace(ANSWER, b""), self.late.count(ANSWER)
+        self.press(keys + answers * ANSWER)
+
+    def __exit__(self, *error):
+        asyncio.get_running_loop().remove_reader(self.keys)
+        super().__exit__(*error)
+
+
+@pytest.mark.promise("OPS-4")
+async def test_keys_that_a_network_delivers_late_move_nothing(rover, seen):
+    """By ssh the keys lie far from the program, whose beats are fresh."""
+    async with rover(wheels=seen):
+        with Distant() as terminal:
+            await terminal.drive(seen)
+            terminal.cut = True
+            for _ in range(30):
+                terminal.press()
+                await asyncio.sleep(0.05)
+            assert seen.commands[-1] == STILL
+            count = len(seen.commands)
+            terminal.mend()
+            await asyncio.sleep(0.6)
+            assert set(seen.commands[count:]) <= {STILL}
+            await terminal.drive(seen)  # and fresh ones do
+
+
+@pytest.mark.promise("OPS-4")
+async def test_no_answer_of_the_terminal_is_left_to_the_shell(rover, seen):
+    """It would be typed there: what was asked is waited for."""
+    async with rover(wheels=seen):
+        with Distant() as terminal:
+            await terminal.drive(seen)
+            terminal.cut = True
+            await eventually(lambda: ANSWER in terminal.late)
+            Terminal.press(terminal, b"q")
+            await asyncio.sleep(0.3)
+            assert terminal.process.poll() is None
+            terminal.mend()
+            assert await asyncio.to_thread(terminal.process.wait, 5.0) == 0

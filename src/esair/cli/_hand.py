@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import math
 import os
@@ -24,6 +25,13 @@ from esair.values import printable
 GAP: Final = 0.3
 """After how long without a look at the keys those typed meanwhile are dropped, in s."""
 
+ASK: Final = "\x1b[5n"
+"""Asks the terminal whether it is there; what is typed after its answer is newer than this."""
+
+ANSWER: Final = b"\x1b[0n"
+
+ASKED: Final = 32  # How many answers a terminal may owe until it is asked no more
+
 HOW: Final = "hold a key to drive; space stops, q leaves"
 
 KEYS: Final[Mapping[bytes, tuple[int, int]]] = {
@@ -39,7 +47,7 @@ KEYS: Final[Mapping[bytes, tuple[int, int]]] = {
 }
 """What a key means: how much forward, how much to the left."""
 
-END: Final = frozenset({b"q", b"\x03", b"\x04"})
+END: Final = (b"q", b"\x03", b"\x04")
 
 
 def drive(
@@ -105,11 +113,18 @@ def _keys_one_by_one() -> Iterator[None]:
     try:
         yield
     finally:
-        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+        termios.tcsetattr(
+            sys.stdin, termios.TCSAFLUSH, before
+        )  # held keys are no words
 
 
 class _Wheel:
-    """Turns keys into input for a lease."""
+    """Turns keys into input for a lease.
+
+    A key answers the newest beat that the terminal had when it was typed, and may come late
+    over a network, as by ssh: so the terminal is asked at each beat. One that never answers
+    is taken for one of this computer.
+    """
 
     def __init__(
         self, client: Client, actuator: str, speed: float, seconds: float
@@ -119,7 +134,10 @@ class _Wheel:
         self._speed = speed
         self._seconds = seconds
         self._lease: dict[str, Any] | None = None
-        self._beat = 0
+        self._beat: int | None = 0
+        self._asked: collections.deque[int] = collections.deque()
+        self._answers = False
+        self._rest = b""
         self._sent: str | None = None
         self._shown = ""
 
@@ -133,6 +151,7 @@ class _Wheel:
                 self._client.send("release", {"lease": self._lease["lease"]})
             self._show(f"{self._actuator} is released")
         finally:
+            self._wait_for_answers()
             sys.stdout.write("\n")
 
     def _listen(self) -> None:
@@ -141,45 +160,84 @@ class _Wheel:
             ready, _, _ = select.select([sys.stdin, self._client], [], [], 0.05)
             now = time.monotonic()
             if now - last > GAP:  # the program stood still: what was typed is old
-                termios.tcflush(sys.stdin, termios.TCIFLUSH)
+                while select.select([sys.stdin], [], [], 0.0)[0] and self._read():
+                    pass
                 ready = [each for each in ready if each is not sys.stdin]
                 self._show("there was a gap: the keys typed in it were dropped")
             last = now
             if self._client in ready:
                 self._hear()
             if sys.stdin in ready:
-                keys = os.read(sys.stdin.fileno(), 256)
-                if not keys or any(keys.endswith(end) for end in END):
+                typed = self._read()
+                if not typed or any(keys.endswith(END) for _, keys in typed):
                     return
-                self._press(keys)
+                for beat, keys in typed:
+                    self._press(keys, beat)
+
+    def _read(self) -> list[tuple[int | None, bytes]]:
+        """Return what was typed, each with the beat that it answers; nothing at the end."""
+        keys = os.read(sys.stdin.fileno(), 4096)
+        if not keys:
+            return []
+        keys = self._rest + keys
+        whole = len(keys) - next(n for n in (3, 2, 1, 0) if keys.endswith(ANSWER[:n]))
+        before, *after = keys[:whole].split(ANSWER)
+        self._rest = keys[whole:]
+        typed = [(self._beat, before)]
+        for later in after:
+            self._answers = True
+            if self._asked:
+                self._beat = self._asked.popleft()
+            typed.append((self._beat, later))
+        return typed
 
     def _take(self) -> None:
         fields = {"actuator": self._actuator, "seconds": self._seconds}
         self._lease = self._client.do("lease", fields)
-        self._beat = self._lease["beat"]
+        self._ask(self._lease["beat"])
 
-    def _press(self, keys: bytes) -> None:
+    def _ask(self, beat: int) -> None:
+        """Ask the terminal: keys that come before its answer are older than a beat."""
+        if len(self._asked) < ASKED and os.environ.get("TERM") != "dumb":
+            self._asked.append(beat)
+            sys.stdout.write(ASK)
+            sys.stdout.flush()
+        if not self._answers:
+            self._beat = beat
+
+    def _wait_for_answers(self) -> None:
+        """Let no answer come when somebody else reads the keys."""
+        end = time.monotonic() + 1.0
+        with contextlib.suppress(OSError):  # the terminal itself has gone
+            while self._answers and self._asked and time.monotonic() < end:
+                if select.select([sys.stdin], [], [], 0.1)[0] and not self._read():
+                    return
+
+    def _press(self, keys: bytes, beat: int | None) -> None:
         """Send what the newest key means; those before it are never done."""
         key = max(KEYS, key=lambda each: (keys.rfind(each), keys.endswith(each)))
         if key not in keys:
             return
         if self._lease is None:
             self._take()
+            beat = None if self._answers else self._beat
         assert self._lease is not None
+        if beat is None:
+            return  # it may be old: the next one tells
         forward, left = KEYS[key]
         command = command_of(forward, left, self._lease["axes"], self._speed)
         self._sent = self._client.send(
             "drive",
-            {"lease": self._lease["lease"], "beat": self._beat, "command": command},
+            {"lease": self._lease["lease"], "beat": beat, "command": command},
         )
         self._show(f"{self._actuator}: {command}")
 
     def _hear(self) -> None:
         for found in self._client.lines(0.0):
             if "beat" in found:
-                self._beat = found["beat"]
+                self._ask(found["beat"])
             elif self._lease and found.get("lapsed") == self._lease["lease"]:
-                self._lease = None
+                self._lease = self._beat = None
                 self._show(f"{self._actuator} is released; {HOW}")
             elif found.get("id") == self._sent and "ok" in found:
                 if not found["ok"]:
