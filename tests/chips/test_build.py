@@ -154,6 +154,27 @@ def test_no_floats_where_the_reactions_have_none(tmp_path) -> None:
     assert "malloc" not in written
 
 
+def test_a_line_sensor_compiles(tmp_path) -> None:
+    """No name of a part is one of ``main.c``."""
+    (tmp_path / "follower.py").write_text(
+        "from esair.minimal import Actuator, Reaction, Sensor, reads, writes\n"
+        "class Line(Sensor):\n    def read(self) -> int: return 0\n"
+        "class Step(Actuator):\n    safe = 0\n    def write(self, command): pass\n"
+        "class Follow(Reaction):\n    line = reads(int)\n    step = writes(int)\n"
+        "    def react(self, line):\n        return line - 2\n"
+    )
+    path = tmp_path / "robot.toml"
+    path.write_text(
+        '[sensor.line]\ndriver = "follower:Line"\n[actuator.step]\ndriver = "follower:Step"\n'
+        '[behavior.follow]\ndriver = "follower:Follow"\n'
+    )
+    out = tmp_path / "out"
+    build(path, out)
+    sources = [out / "main.c", out / "robot" / "robot.c"]
+
+    subprocess.run([*GCC, *sources, "-o", out / "a"], check=True)
+
+
 @pytest.mark.long
 @pytest.mark.skipif(avr.why_not() is not None, reason=str(avr.why_not()))
 @pytest.mark.parametrize(

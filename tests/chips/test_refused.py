@@ -121,6 +121,7 @@ CASES = {
     "return min(*ROW)": "each argument",
     "return super().react(far)": "nothing like it",
     "yield far": "plain function",
+    "return " + "far + " * 800 + "1.0": "in several lines",
 }
 
 

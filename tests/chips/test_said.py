@@ -82,6 +82,7 @@ CASES = {
     "    y = None\nelse:\n    z = 3.0\nreturn {'out': z, 'count': 1 if y is None else 2}",
     "words of C": "register = x\nint = register + self.int\nauto = self.auto\nt1 = 2\nfloat = int\n"
     "return {'out': float * t1 * es_add + R, 'count': auto}",
+    "a name of C, and one with _": "int = k\nint_ = 2\nreturn {'count': i32(i32(int * 3) + int_)}",
     "names of fields": "return {'out': Pose(x, 2.0).long() + Pose(1.0, PI=x).PI}",
     "a loop and its name": "n = 0\nfor i in range(7, -4, -3):\n    i = i * 2\n    n += i\n"
     "    if n > 20:\n        break\nreturn {'count': n}",

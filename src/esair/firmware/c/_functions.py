@@ -61,6 +61,10 @@ class Statements(Expressions):
                         return False
             except RefusedError as error:
                 self.errors.append(error)
+            except RecursionError:
+                told = "it is too deep for a translation: write it in several lines"
+                line = node.lineno + self._before
+                self.errors.append(RefusedError(told, line, self._file))
         return True
 
     def _expression(self, node: ast.Expr) -> bool:

@@ -245,7 +245,7 @@ def in_c(name: str) -> str:
         raise RefusedError(
             f"the name {name!r}: names of C have letters, digits and _: take another"
         )
-    return f"{name}_" if name in WORDS or name.isupper() else name
+    return f"{name}_" if name.rstrip("_") in WORDS or name.isupper() else name
 
 
 UNKNOWN: Final = object()

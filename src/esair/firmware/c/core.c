@@ -472,7 +472,7 @@ void robot_close(void)
 {
     for (int i = 0; i < ES_OUTPUTS; i++) es_outputs[i].bad = true;
     for (int i = 0; i < 3 * ES_OUTPUTS; i++) {
-        es_output *o = &es_outputs[i % ES_OUTPUTS];
+        es_output *o = &es_outputs[i % ES_ROOM(ES_OUTPUTS)];
         if (o->bad) es_tell(o, NULL, NULL);
     }
 }

@@ -9,7 +9,7 @@ static inline int32_t whole(void) { long x = 0; got += scanf("%ld", &x); return 
 ${number}
 
 ${parts}
-static void read_line(void)
+static void hear(void)
 {
 ${read}
 }
@@ -20,7 +20,7 @@ int main(void)
     robot_open();
     while (scanf(" %c", &what) == 1) {
         if (what == 's') {
-            read_line();
+            hear();
             robot_step();
             printf("= %lu %lu %lu\n", (unsigned long)robot.steps, (unsigned long)robot.faults,
                    (unsigned long)robot.refused);
