@@ -127,3 +127,46 @@ def test_what_no_board_can_mean_is_no_message(payload: bytes) -> None:
     assert board.said(payload) == []
     assert board.named
     assert board.period == 0.02
+
+
+async def test_what_the_line_has_kept_meanwhile_is_no_news(
+    fake_serial: Callable[..., FakeSerial],
+) -> None:
+    """The computer stood still: old readings and beats come at once, and count as old."""
+    line = fake_serial("base", framing="cobs")
+    light = BoardSensor(name="light", bus=line, link_rate=100.0)
+    seen: list[float] = []
+
+    def say(*beats: int, reading: float) -> None:
+        line.say(signed(b"n" + struct.pack("<II", 50_000, 0) + b"light;"))
+        line.say(signed(struct.pack("<BBBf", ord("s"), 0, ord("f"), reading)))
+        for each in beats:
+            whole = struct.pack(
+                "<BBBBHIIIIHH", ord("b"), VERSION, *[0] * 3, each, *[0] * 5
+            )
+            line.say(signed(whole))
+
+    class Look(esair.Reaction):
+        light = esair.reads(float)
+
+        def react(self, light: float) -> None:
+            seen.append(light)
+
+    async with esair.Robot(resources=[light], behaviors=[Look()]):
+        for now in range(0, 1000, 100):
+            say(now, reading=1.0)
+            await asyncio.sleep(0.1)
+        await asyncio.sleep(0.39)
+        say(950, reading=2.0)
+        say(1000, reading=2.0)
+        await asyncio.sleep(0.1)
+        say(1600, reading=3.0)
+        say(1700, reading=3.0)
+        await asyncio.sleep(0.1)
+
+    assert 2.0 not in seen
+    assert seen[-1] == 3.0
+    beats = [
+        struct.unpack("<H", each[3:5])[0] * 16 for each in line.sent if each[:1] == b"h"
+    ]
+    assert 900 - 16 < max(each for each in beats if each < 1500) <= 900

@@ -29,7 +29,8 @@ That stands for these tables::
 
 The board beats, and this computer answers each beat. When the answers stay away, whatever
 it moved is safe on the board at once, and what comes late moves nothing; when the beats
-do, its sensors and actuators are lost here. The board tells what it did with a command.
+do, its sensors and actuators are lost here. Readings that the line has kept while this
+computer stood still are none. The board tells what it did with a command.
 
 Source: `esair.boards.link`, which the board runs.
 """
@@ -40,10 +41,11 @@ import asyncio
 import contextlib
 import functools
 import logging
+import math
 from collections.abc import AsyncIterator
 from typing import Any, Unpack
 
-from esair.boards.link import AT_ONCE, VERSION
+from esair.boards.link import AT_ONCE, BEAT_MS, SILENCE_MS, VERSION
 from esair.buses import Inbox, SerialBus
 from esair.drivers._on_bus import SharedTask, shared
 from esair.drivers.board.wire import (
@@ -66,6 +68,9 @@ _log = logging.getLogger("esair")
 
 SILENCE = 0.5
 """After so many seconds without a beat the board is lost."""
+
+_LATE = SILENCE_MS / 1000
+"""A beat that is heard so much later than others was is old, and so is what it brings."""
 
 _ASK_AGAIN = 1.0
 """The board is asked again for its readings, so often: a message may be lost."""
@@ -98,6 +103,10 @@ class _Beats(SharedTask):
         self._heard = -1.0
         self._now_ms = -1
         """The board's own time at its last beat."""
+        self._way = math.inf
+        """How far the board's time is behind this computer's, in seconds."""
+        self._good_until = -1.0
+        """Until then what the board says is not old, by its last beat."""
         self._first: asyncio.Event = asyncio.Event()
         self.wire = Wire()
         self._turn = 0.0
@@ -117,6 +126,7 @@ class _Beats(SharedTask):
         """Wait for the first beat of the board, and its names."""
         if self.begin(user, functools.partial(self._run, bus)):
             self._heard, self._now_ms, self.wire = -1.0, -1, Wire()
+            self._way = math.inf
             self._first, self._sending = asyncio.Event(), asyncio.Lock()
             self._waiting = {}
         elif self._silent > SILENCE:
@@ -151,13 +161,17 @@ class _Beats(SharedTask):
         with bus.frames() as inbox:
             async for frame in inbox:
                 for said in self.wire.read(frame):
-                    if isinstance(said, Heard):
-                        self._hand_on(said.name, said)
-                    elif isinstance(said, Answer):
+                    if isinstance(said, Answer):
                         self._answered(said)
-                    elif self._beaten(said, loop.time()):
-                        return
+                    elif isinstance(said, Beat):
+                        if self._beaten(said, loop.time()):
+                            return
+                    elif loop.time() <= self._good_until:
+                        self._hand_on(said.name, said)
                 if not self.wire.owes:
+                    continue
+                if loop.time() > self._good_until:  # this computer stood still
+                    asks = loop.time()  # and the board tells nobody its readings
                     continue
                 for message in self.wire.beat(self.armed):
                     await self._send(bus, message)
@@ -233,7 +247,7 @@ class _Beats(SharedTask):
 
     def _beaten(self, beat: Beat, now: float) -> bool:
         """Take a beat; tell whether the board has started anew."""
-        self._heard = now
+        passed, self._heard = now - self._heard, now
         state = beat.state
         if state is None or self.wire.named:
             self._first.set()
@@ -243,6 +257,10 @@ class _Beats(SharedTask):
             self._now_ms = _RESTARTED
             return True
         self._now_ms = state.now_ms
+        # The clocks differ, and one may stand still: in time each way is a usual one.
+        way = now - state.now_ms / 1000
+        self._way = min(way, self._way + min(passed, BEAT_MS / 1000) / 4)
+        self._good_until = now - way + self._way + _LATE
         self._hand_on("", state)
         return False
 
