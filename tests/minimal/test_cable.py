@@ -123,6 +123,24 @@ def test_a_deploy_that_is_cut_leaves_no_mixture(tmp_path, monkeypatch, soak) -> 
     assert len(seen) > 1
 
 
+def test_a_board_without_room_runs_what_it_ran_before(tmp_path) -> None:
+    """The half of the new program is gone again, and nobody has to press its button."""
+    old, new = (tagged(tmp_path / each, each) for each in ("old", "new"))
+    with Cable(program_or_skip(), tmp_path / "board") as cable:
+        deploys(cable, [old], 1)
+        cable.room = 5
+        cable.reset()
+        (new / "parts.py").write_text("tag = 'new'\n" + "# much\n" * 500)
+        with pytest.raises(ConfigError, match="OSError"):
+            firmware.deploy(new, port=cable.port)
+        assert runs(cable) == "old old old old"
+        assert sorted(each.name for each in cable.folder.iterdir()) == [
+            "esair-a",
+            "esair.starts",
+            "main.py",
+        ]
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("away", "count"),

@@ -25,6 +25,7 @@ from esair.firmware._prompt import Prompt
 from esair.firmware._starter import AT_PROMPT, MARK, SLOTS, starter
 
 _PIECE: Final = 768  # bytes of a file in one message
+_NEW: Final = "main.new"
 
 
 @attrs.frozen
@@ -83,9 +84,15 @@ def deploy(
         before = _make_room(prompt, seconds)
         slot = SLOTS[before == SLOTS[0]]
         say(f"copying {len(files)} files")
-        _copy(prompt, slot, files)
+        try:
+            _copy(prompt, slot, files)
+        except BaseException:  # a half would fill the board, and nothing would run
+            with contextlib.suppress(ConfigError):
+                prompt.ask(_UNDO.format(slot=slot, new=_NEW), patience=2.0)
+                _reset(prompt)
+            raise
         say("starting it")
-        _switch(prompt, slot)
+        _switch(prompt)
         ready = _restart(prompt, lines, place, seconds)
     return Deployed(place, {name: len(data) for name, data in files.items()}, ready)
 
@@ -142,6 +149,15 @@ if "main.py" in os.listdir():
     os.rename("main.py", "esair.was")
 """
 
+_UNDO = """
+try:
+    _file.close()
+except Exception:  # there is none, or no room for the rest of it
+    pass
+_clear("{slot}")
+_clear("{new}")
+"""
+
 
 def _make_room(prompt: Prompt, seconds: float) -> str:
     """Have the board at a prompt without a watchdog; return the folder that it starts."""
@@ -174,6 +190,7 @@ def _copy(prompt: Prompt, slot: str, files: Mapping[str, bytes]) -> None:
         prompt.ask(f"if not _there({each!r}): os.mkdir({each!r})")
     for name, data in files.items():
         _put(prompt, f"{slot}/{name}", data)
+    _put(prompt, _NEW, starter(slot).encode())
 
 
 def _put(prompt: Prompt, name: str, data: bytes) -> None:
@@ -188,12 +205,11 @@ def _put(prompt: Prompt, name: str, data: bytes) -> None:
     raise ConfigError("esair min deploy", name, told)
 
 
-def _switch(prompt: Prompt, slot: str) -> None:
+def _switch(prompt: Prompt) -> None:
     """Let the board start the other program: one act, of its file system."""
-    _put(prompt, "main.new", starter(slot).encode())
     prompt.ask(f"if _there({STARTS!r}): os.remove({STARTS!r})")
     prompt.ask("if hasattr(os, 'sync'): os.sync()")
-    prompt.ask("if _there('main.new'): os.rename('main.new', 'main.py')")
+    prompt.ask(f"if _there({_NEW!r}): os.rename({_NEW!r}, 'main.py')")
 
 
 def _restart(prompt: Prompt, lines: Lines, place: str, seconds: float) -> str:

@@ -183,7 +183,8 @@ class Prompt:
                 if b"NameError" in self._heard:
                     break
         told = (
-            "the board does not answer any more: what ran before runs at its next start"
+            "the board does not answer any more: at its next start runs what ran before, "
+            "or all of the new program"
         )
         raise ConfigError("esair min deploy", self._name, told)
 
