@@ -10,6 +10,7 @@ from esair.boards.analog import AnalogIn
 from esair.boards.digital import DigitalIn, DigitalOut
 from esair.boards.i2c_register import I2CRegister
 from esair.boards.servo import PwmServo
+from esair.boards.uart import UartNumbers
 from esair.boards.ultrasonic import UltrasonicRange
 from esair.minimal import Actuator, Loop, Reaction, reads, writes
 from esair.testing import FakeActuator
@@ -18,7 +19,7 @@ from esair.testing import FakeActuator
 @pytest.fixture(autouse=True)
 def machine(monkeypatch):
     """A board without anything connected."""
-    for each in ("inputs", "outputs", "analog", "echoes", "chips"):
+    for each in ("inputs", "outputs", "analog", "echoes", "chips", "received"):
         monkeypatch.setattr(stand_in, each, {})
     monkeypatch.setitem(sys.modules, "machine", stand_in)
     return stand_in
@@ -282,3 +283,20 @@ def test_a_register_that_browned_out_is_set_up_again(machine) -> None:
     machine.chips[0x48] = Clears()
     part.open()
     assert part.is_set_up()
+
+
+@pytest.mark.parametrize("before", [b"", b"1," * 200], ids=["opened", "overlong"])
+def test_the_rest_of_a_line_is_no_line(machine, before) -> None:
+    """The port was opened amid 0.35, or a line is too long: what is left of it is no 35."""
+    line = opened(UartNumbers(1))
+    machine.received[1] = b"\n" * bool(before) + before
+    with pytest.raises(OSError, match="no line"):
+        line.read()
+    machine.received[1] = b"35\n"
+    with pytest.raises(OSError, match="no line"):
+        line.read()
+    machine.received[1] = b"0.36\n0.3"
+
+    assert line.read() == (0.36,)
+    machine.received[1] = b"7\n"
+    assert line.read() == (0.37,)

@@ -9,6 +9,8 @@ LONGEST = 256
 class UartNumbers(Sensor):
     """The numbers of the newest whole line, such as ``1.25,0.5``.
 
+    What comes up to the first line end is no line: its begin may be missing.
+
     Args:
         uart: The number of the port.
         baudrate: Bits per second.
@@ -34,6 +36,7 @@ class UartNumbers(Sensor):
         self.tx = tx
         self.rx = rx
         self.waiting: bytes = b""
+        self.begun = False  # whether that is the begin of a line
 
     def open(self) -> None:
         """Take the port."""
@@ -45,7 +48,7 @@ class UartNumbers(Sensor):
         if self.rx is not None:
             pins["rx"] = Pin(self.rx)
         self._port = UART(self.uart, self.baudrate, timeout=0, **pins)
-        self.waiting = b""
+        self.waiting, self.begun = b"", False
 
     def close(self) -> None:
         """Let the port go."""
@@ -62,7 +65,11 @@ class UartNumbers(Sensor):
         if count:
             self.waiting += self._port.read(count) or b""
         lines = self.waiting.split(b"\n")
-        self.waiting = lines.pop()[-LONGEST:]
+        self.waiting = lines.pop()
+        if lines and not self.begun:
+            lines[0], self.begun = b"", True
+        if len(self.waiting) > LONGEST:
+            self.waiting, self.begun = b"", False
         for line in reversed(lines):
             text = line.strip()
             if text:
