@@ -467,6 +467,7 @@ class DbcActuator(Actuator[Any]):
         signal: The name of the only signal that commands are; all of them unless given.
         fixed: Signals that are the same in every frame, and are not in commands.
         sequence: The name of a signal that counts the frames; it is not in commands.
+            The watchdog tries 16 numbers of it, not knowing which is next.
         source: Of a message of J1939, the address that this robot has; that of the file
             unless given. Without a ``j1939_name`` it is not claimed: no other node may
             have it.

@@ -93,7 +93,8 @@ class Scan:
     Attributes:
         angles: Directions from the x axis in rad, counter-clockwise, shape (n,), in the
             order in which they were measured (the laser turns clockwise).
-        ranges: Distances in m, shape (n,); infinite where nothing came back.
+        ranges: Distances in m, shape (n,); infinite where nothing came back: so it is
+            from what is far, and from what is nearer than it can measure (0.15 m).
         qualities: How much light came back, 0 to 63, shape (n,).
     """
 
