@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 from collections.abc import AsyncIterator
 from contextlib import aclosing
+from pathlib import Path
 from typing import Any
 
 import pytest
+from canopen.objectdictionary import export_od
 from tests.drivers.parts import OnCan, opened
 
 import esair
 from esair.buses import Frame
-from esair.drivers.canopen.drive import Drive, DriveState, State
+from esair.drivers.canopen import CanopenSensor
+from esair.drivers.canopen.drive import Drive, DriveState, State, standard
 from esair.drivers.canopen.fake_drive import FakeDrive
 from esair.drivers.canopen.position import Move, PositionDrive
-from esair.exceptions import BusyError, ConfigError, DeviceFaultError
+from esair.exceptions import (
+    BusyError,
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+)
 from esair.messages import ResourceState
 from esair.testing import ActuatorContract, FakeCan, SensorContract
 
@@ -242,6 +251,42 @@ async def test_who_has_no_sync_does_not_miss_that_of_another(
         await robot.resources.remove("one")
         await asyncio.sleep(1.0)
         assert robot.resources.query("other").losses == 0
+
+
+@pytest.mark.promise("SC-3")
+async def test_a_drive_that_comes_later_moves_no_object_unseen(
+    wire: FakeCan, far: FakeDrive, tmp_path: Path
+) -> None:
+    """It sets up PDOs in which others are received; once it has, no more."""
+    eds = tmp_path / "drive.eds"
+    export_od(standard(5), str(eds))
+    store = far.local.data_store
+    store[0x1800] = {1: b"\x85\1\0\0", 2: b"\xff", 5: b"\x14\0"}
+    store[0x1A00] = {0: b"\1", 1: b"\x20\0\x64\x60"}
+    far.position = 1000.0
+    keywords = {"object": 0x6064, "pdo": True, "eds": eds, "name": "position"}
+    got: set[int] = set()
+
+    class Look(esair.Behavior):
+        position = esair.reads(int)
+
+        async def run(self) -> None:
+            with contextlib.suppress(DeviceLostError):
+                async for value in self.position:
+                    got.add(value)
+
+    position = made(CanopenSensor, wire, **keywords)
+    async with esair.Robot(resources=[position], behaviors=[Look()]) as robot:
+        await asyncio.sleep(1.0)
+        await robot.resources.add(made(DriveState, wire, name="state"))
+        await asyncio.sleep(1.0)
+        await robot.resources.remove("state")
+        await robot.resources.add(made(DriveState, wire, name="state"))
+        await asyncio.sleep(1.0)
+        assert robot.resources.query("position").losses == 1
+        await robot.behaviors.restart("look")
+        await asyncio.sleep(0.1)
+    assert got == {1000}
 
 
 @pytest.mark.promise("SC-3")

@@ -45,7 +45,13 @@ from esair.drivers.canopen._node import (
     OnNode,
     sdo_frames,
 )
-from esair.exceptions import BusyError, ConfigError, DeviceFaultError, hint_for
+from esair.exceptions import (
+    BusyError,
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    hint_for,
+)
 from esair.loading import of_extra
 from esair.loop import CallRefused
 from esair.resources import Actuator, ActuatorSettings, Sensor, SensorSettings
@@ -275,6 +281,12 @@ class CanopenSensor(_Object, Sensor[Any]):
         await super().open()
         if self.pdo:
             self._mapped = await self._call(self._find_mapped)
+
+    def heed_mapping(self) -> None:
+        """Look anew where the object is, if it is received in a PDO."""
+        if self._mapped is not None:
+            told = "a drive on its node sets the PDOs up"
+            self.report_lost(DeviceLostError(self.name, told))
 
     async def read(self) -> Any:
         """Ask the node for the object."""

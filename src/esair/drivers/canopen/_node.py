@@ -221,6 +221,8 @@ class Node:
             number, Exchanges(bus, late_limit=LATE_LIMIT)
         )
         self.opening = asyncio.Lock()
+        self.is_mapped = False
+        """Whether a drive has set up what its PDOs have."""
         self._is_open = False
         self.remote: Any = None
         self.network: CanopenNetwork | None = None
@@ -467,6 +469,9 @@ class OnNode(Resource):
     def heed(self, emergency: Emergency) -> None:
         """Be told what the node says in an emergency message."""
         self.emergencies.append(emergency)
+
+    def heed_mapping(self) -> None:
+        """Be told that the PDOs of the node are set up anew."""
 
     def make_ready(self, remote: Any) -> None:
         """Tell the node what must be there before it is started, in its thread."""

@@ -300,7 +300,7 @@ class OnDrive(OnNode):
                 pdo.event_timer = None
                 self._silence = self._silence if by_sync else None
             self._map(pdo, mapped, by_sync=by_sync)
-        self._is_prepared = True
+        self._is_prepared = self._connected().is_mapped = True
 
     def _map(self, pdo: Any, mapped: tuple[int, ...], *, by_sync: bool) -> None:
         pdo.clear()
@@ -317,6 +317,9 @@ class OnDrive(OnNode):
         self._is_prepared = False
         await super().open()
         if not self._is_prepared:  # the node runs for another device already
+            link = self._connected()
+            for user in () if link.is_mapped else tuple(link.users):
+                user.heed_mapping()
             await self._call(self._prepare, self._remote)
         if self.sync is not None:
             self._sync = sync_of(self, self.bus, self.sync)
