@@ -274,6 +274,8 @@ def test_mistakes_are_told() -> None:
         MavlinkSensor(message="ATTITUDE", value="rol", bus=line)
     with pytest.raises(ConfigError, match="channels: expected a channel for each"):
         RcOverride(channels={"a": 1}, safe={"b": 0.0}, bus=line)
+    with pytest.raises(ConfigError, match="channels: expected another channel for"):
+        RcOverride(channels={"a": 1, "b": 1}, safe={"a": 0.0, "b": 0.0}, bus=line)
     with pytest.raises(ConfigError, match="framing='mavlink'"):
         MavlinkSensor(bus=FakeSerial())
 

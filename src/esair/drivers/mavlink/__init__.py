@@ -467,6 +467,9 @@ class RcOverride(_OnVehicle, Actuator[dict[str, float]]):
             raise ConfigError(self.name, "channels", told)
         for name, number in channels.items():
             check_whole(self.name, f"channels.{name}", number, 1, 8)
+        if len({*channels.values()}) < len(channels):
+            told = f"expected another channel for each stick, not {dict(channels)}"
+            raise ConfigError(self.name, "channels", told)
         self.channels: dict[str, int] = dict(channels)
         self.safe: dict[str, float] = dict(safe)
         self.limits: Mapping[str, tuple[float, float]] = dict.fromkeys(
