@@ -268,6 +268,20 @@ async def test_what_a_real_number_cannot_hold_is_beyond_its_limits(rig: Any) -> 
     assert gain.limits == pytest.approx((-3.4e36, 3.4e36))
 
 
+async def test_each_device_waits_as_long_as_it_says(rig: Any) -> None:
+    """Not as long as the one that asks the node after it."""
+    wire, node = rig()
+    slow = sensor(wire, sdo_timeout=1.0)
+    quick = sensor(wire, "Brake", sdo_timeout=0.1)
+    async with opened(slow, quick):
+        node.delay = 0.2
+        asked = slow.read(), quick.read()
+        done = await asyncio.gather(*asked, return_exceptions=True)
+        node.delay = 0.0
+    assert done[0] == 0
+    assert isinstance(done[1], DeviceLostError)
+
+
 async def test_a_factor_makes_a_unit(rig: Any) -> None:
     """Both ways; the limits of the file are in the unit too."""
     wire, node = rig()

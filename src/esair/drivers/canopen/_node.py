@@ -301,10 +301,14 @@ class Node:
         """Call a function that waits for the node, in the thread of its network."""
         assert self.network is not None
         await self.exchanges.silence()  # here: the thread has a time for its answer
-        self.remote.sdo.RESPONSE_TIMEOUT = device.sdo_timeout
+
+        def timed() -> T:  # there: another device's call may come before
+            self.remote.sdo.RESPONSE_TIMEOUT = device.sdo_timeout
+            return function(*args)
+
         try:
             return await self.network.executor.call(
-                function, *args, timeout=device.deadline, guard=guard
+                timed, timeout=device.deadline, guard=guard
             )
         except SdoAbortedError as error:
             raise DeviceFaultError(device.name, f"SDO abort: {error}") from error
