@@ -268,6 +268,7 @@ async def test_what_a_real_number_cannot_hold_is_beyond_its_limits(rig: Any) -> 
     assert gain.limits == pytest.approx((-3.4e36, 3.4e36))
 
 
+@pytest.mark.real_clock
 async def test_each_device_waits_as_long_as_it_says(rig: Any) -> None:
     """Not as long as the one that asks the node after it."""
     wire, node = rig()
