@@ -6,6 +6,8 @@ import math
 from collections.abc import AsyncIterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy
+
 import esair
 from esair.buses import CanBus, I2CBus
 
@@ -202,6 +204,13 @@ class PairForAll(esair.Actuator[dict[str, float]]):
     limits = (-1.0, 1.0)
 
     async def write(self, command: dict[str, float]) -> None: ...
+
+
+class PairForArray(esair.Actuator[numpy.ndarray]):
+    safe = numpy.zeros(2)
+    limits = (-1.0, 1.0)
+
+    async def write(self, command: numpy.ndarray) -> None: ...
 
 
 class OnAWord(Sonar):

@@ -158,6 +158,8 @@ CASES = [
     Case(parts.SaysTooMuch, "it is no reading of this sensor: expected 0 to 1, it gave "
          "9.0", "says_too_much", "initial"),
     Case(parts.Clamps, "expected True or False, not 'yes'", "clamps", "clamp"),
+    Case(parts.PairForArray, "expected a pair for each field of array([0., 0.]), not "
+         "(-1.0, 1.0)", "pair_for_array", "limits"),
     Case(parts.PairForAll, "expected a pair for each field of {'left': 0.0}, not "
          "(-1.0, 1.0)", "pair_for_all", "limits"),
     Case(parts.OnAWord, "expected a bus such as esair.buses.SerialBus, not 'front'",

@@ -598,7 +598,7 @@ def _in_limits(resource: Sensor[Any] | Actuator[Any]) -> Iterator[tuple[str, str
         try:
             if part is not None and not low <= part <= high:
                 yield "safe", f"{safe!r} is outside the limits"
-        except TypeError:
+        except (TypeError, ValueError):  # several numbers, maybe an array of NumPy
             told = f"expected a pair for each field of {part!r:.80}, not {bounds!r:.80}"
             yield f"limits.{field}".rstrip("."), told
 
