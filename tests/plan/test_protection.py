@@ -118,6 +118,23 @@ def test_an_actuator_says_whether_it_moves(says: bool | None, warnings: int) -> 
     assert len(told(parts.Drive(), motor=Lamp)) == warnings
 
 
+@pytest.mark.parametrize("seconds", [0.5, 30.0, 500.0])
+def test_milliseconds_for_seconds_are_found(seconds: float) -> None:
+    """So long it would move with nobody who commands it."""
+
+    class Held(parts.Drive):
+        wheels = esair.writes(float, hold=seconds)
+
+    class Slow(Motor):
+        command_timeout = seconds
+
+    plan = Plan(resources=[Slow(name="wheels")], behaviors=[Held()])
+    found = [each for each in examine(plan) if each.rule == "time"]
+    fields = [each.field for each in found]
+    assert fields == (["command_timeout", "wheels.hold"] if seconds > 30.0 else [])
+    assert all("moves on for 500 s after" in each.text for each in found)
+
+
 def test_a_hold_at_the_priority_of_those_it_is_against_is_found() -> None:
     """Blind it stops them, seeing it does not."""
     findings = told(parts.Drive(), Level(), motor=parts.Wheels)

@@ -24,6 +24,10 @@ _MUTE_LIMIT = Reaction.mute_limit
 """What a class has that says nothing about it, in seconds."""
 
 
+_LONG = 30.0
+"""What moves on for longer than this without a write has milliseconds for seconds, maybe."""
+
+
 @attrs.frozen
 class Writer:
     """Who writes an actuator.
@@ -170,6 +174,7 @@ def unprotected(plan: Plan) -> Iterator[Finding]:
     rows = {row.name: row for row in protection(plan)}
     for name, row in rows.items():
         yield from _bare(plan, name, row)
+        yield from _goes_on(plan, name)
         yield from _level(plan, name, row)
     for name, action, attribute, need in plan.needs():
         if (
@@ -224,6 +229,27 @@ def _moves(actuator: Resource) -> bool:
     return "command_timeout" in vars(actuator) or any(
         "command_timeout" in vars(each) for each in own
     )
+
+
+def _goes_on(plan: Plan, name: str) -> Iterator[Finding]:
+    """Find what moves for long after its last write."""
+    actuator = plan.resource_of[name]
+    if not isinstance(actuator, Actuator) or not _moves(actuator):
+        return
+    found: list[tuple[Any, str, float | None]]
+    found = [(actuator, "command_timeout", actuator.command_timeout)]
+    found += [
+        (action, f"{attribute}.hold", need.hold)
+        for _, action, attribute, need in plan.needs()
+        if isinstance(need, Writes) and need.resource == name
+    ]
+    for whose, field, seconds in found:
+        if is_positive(seconds) and seconds > _LONG:
+            told = f"{name!r} moves on for {seconds:g} s after the last write"
+            advice = (
+                "it is in seconds: 0.5 for 500 ms (moves = False if it hurts nobody)"
+            )
+            yield warning("time", whose, field, told, advice)
 
 
 def _level(plan: Plan, name: str, row: Protection) -> Iterator[Finding]:
