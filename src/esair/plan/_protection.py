@@ -236,7 +236,7 @@ def _goes_on(plan: Plan, name: str) -> Iterator[Finding]:
     actuator = plan.resource_of[name]
     if not isinstance(actuator, Actuator) or not _moves(actuator):
         return
-    found: list[tuple[Any, str, float | None]]
+    found: list[tuple[Any, str, Any]]
     found = [(actuator, "command_timeout", actuator.command_timeout)]
     found += [
         (action, f"{attribute}.hold", need.hold)
