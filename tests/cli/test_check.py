@@ -25,9 +25,11 @@ class Guarded(Motor):
 
 class Drive(esair.Behavior):
     motor = esair.writes(float)
+    async def run(self) -> None: ...
 
 class Push(esair.Behavior):
     motor = esair.writes(float, priority=5)
+    async def run(self) -> None: ...
 
 class Stop(esair.Reaction):
     number = esair.reads(float)
@@ -40,6 +42,7 @@ class Confused(esair.Behavior):
     number = esair.reads(str)
     motor = esair.writes(bytes)
     lamp = esair.writes(bool)
+    async def run(self) -> None: ...
 
 class Blink(esair.Reaction):
     rate = 2.0

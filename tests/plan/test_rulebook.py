@@ -444,3 +444,29 @@ def test_several_mistakes_come_in_one_group() -> None:
     )
 
     assert len(errors_in(examine(plan))) == 8
+
+
+class Idle(esair.Behavior):
+    async def rum(self) -> None:
+        """Its name is mistyped."""
+
+
+class IdleThread(esair.ThreadBehavior):
+    def rum(self) -> None:
+        """The same."""
+
+
+class Answers(esair.Behavior):
+    @esair.answers
+    async def ordered(self, request: parts.Order) -> int:
+        return 1
+
+
+@pytest.mark.parametrize(
+    ("behavior", "count"),
+    [(Idle(), 1), (IdleThread(), 1), (Answers(), 0), (esair.Behavior(name="user"), 0)],
+)
+def test_what_does_nothing_is_told(behavior: esair.Behavior, count: int) -> None:
+    """A class of its own is there to do something."""
+    findings = examine(Plan(resources=[], behaviors=[behavior]))
+    assert [each.field for each in findings] == ["run"] * count

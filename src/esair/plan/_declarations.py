@@ -218,6 +218,19 @@ def mistakes_in_action(action: Behavior | Reaction) -> Iterator[Finding]:
         yield mistake("declaration", action, field, told)
 
 
+def idle(action: Behavior | Reaction) -> Iterator[Finding]:
+    """Find a class that says nothing of what it does: the name is mistyped, maybe."""
+    of, base = type(action), Behavior
+    if isinstance(action, ThreadBehavior):
+        base = ThreadBehavior
+    if of is base or not issubclass(of, base) or hasattr(of, "react"):
+        return
+    own = any(getattr(of, each) is not getattr(base, each) for each in _BEHAVIOR)
+    if not own and not declared_requests(of):
+        told = "it does nothing: its class has no run, and answers nothing"
+        yield warning("declaration", action, "run", told)
+
+
 def mistyped(reaction: Reaction) -> Iterator[Finding]:
     """Find parameters of ``react`` whose annotations do not fit the ports."""
     if not isinstance(reaction, MinimalReaction):  # its types are for readers only

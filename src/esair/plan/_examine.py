@@ -16,6 +16,7 @@ from esair.actions import Behavior, Derived, Reaction
 from esair.exceptions import ConfigError, EsairError, NameTakenError, UnknownNameError
 from esair.messages import OPERATOR, BehaviorsPolicy, Mode, Modes, Restart, is_placed
 from esair.plan._declarations import (
+    idle,
     mistakes_in_action,
     mistakes_in_resource,
     mistyped,
@@ -347,6 +348,7 @@ def examine(plan: Plan) -> list[Finding]:
         *_about_actions(plan, plan.behaviors),
         *mistakes_in_policies(plan),
         *mistakes_in_modes(plan),
+        *(found for each in plan.action_of.values() for found in idle(each)),
         *starving(plan),
         *never_failed(plan),
         *lasting(plan),
