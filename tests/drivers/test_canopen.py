@@ -511,6 +511,24 @@ async def test_each_device_on_a_node_has_the_objects_of_its_own_file(
         assert await gain.read() == 0.75
 
 
+@pytest.mark.fault("D05")
+@pytest.mark.parametrize("order", [1, -1])
+async def test_a_node_is_compared_with_the_file_of_each_device(
+    rig: Any, tmp_path: Path, order: int
+) -> None:
+    """What is another's file is told, and no command by it, not even a safe one."""
+    wire, node = rig()
+    wrong = tmp_path / "wrong.eds"
+    wrong.write_text(MOTOR.read_text().replace("0x456", "0x457"))
+    position = sensor(wire, name="position")
+    velocity = actuator(wire, name="motor", eds=wrong)
+    async with esair.Robot(resources=[position, velocity][::order]) as robot:
+        await asyncio.sleep(1.0)
+        assert robot.resources.query("position").state is esair.ResourceState.READY
+        assert "another EDS file" in str(robot.resources.query("motor").error)
+    assert 0x60FF not in [index for index, _, _ in node.written]
+
+
 async def test_an_object_that_is_in_no_pdo_is_told(rig: Any) -> None:
     """The set-up of the node decides, not the file."""
     wire, _ = rig()

@@ -221,6 +221,8 @@ class Node:
             number, Exchanges(bus, late_limit=LATE_LIMIT)
         )
         self.opening = asyncio.Lock()
+        self._identities: set[tuple[int | None, int | None]] = set()
+        """The vendors and products of files with which it was compared."""
         self.is_mapped = False
         """Whether a drive has set up what its PDOs have."""
         self._is_open = False
@@ -242,6 +244,7 @@ class Node:
         """Find the node, compare its identity, start it safely, and watch its heartbeat."""
         async with self.opening:
             if self._is_open:
+                await self.call(device, self._identify, device.dictionary)
                 wanted = device.heartbeat
                 if wanted is not None and not 0 < self._period <= wanted:
                     self._period = await self.call(device, self._set_heartbeat, wanted)
@@ -318,23 +321,27 @@ class Node:
 
     def _begin(self, dictionary: ObjectDictionary, heartbeat: float | None) -> float:
         """Meet the node, in the thread; returns its heartbeat period in seconds."""
-        sdo = self.remote.sdo
-        sdo.upload(DEVICE_TYPE, 0)
+        self.remote.sdo.upload(DEVICE_TYPE, 0)
         self.remote.nmt.add_heartbeat_callback(self._beat)
+        self._identify(dictionary)
+        return self._set_heartbeat(heartbeat)
+
+    def _identify(self, dictionary: ObjectDictionary) -> None:
+        """Compare it with the file of a device, in the thread."""
         told = dictionary.device_information
-        for subindex, what, wanted in (
-            (1, "vendor", told.vendor_number),
-            (2, "product", told.product_number),
-        ):
-            if wanted:
-                found = int.from_bytes(sdo.upload(IDENTITY, subindex), "little")
+        identity = told.vendor_number, told.product_number
+        for subindex, wanted in enumerate(identity, 1):
+            if wanted and identity not in self._identities:
+                what = "vendor" if subindex == 1 else "product"
+                answer = self.remote.sdo.upload(IDENTITY, subindex)
+                found = int.from_bytes(answer, "little")
                 if found != wanted:
                     raise DeviceFaultError(
                         f"node {self.number}",
                         f"its {what} is {found:#x} instead of {wanted:#x}: "
                         "another device, or another EDS file",
                     )
-        return self._set_heartbeat(heartbeat)
+        self._identities.add(identity)
 
     def _set_heartbeat(self, heartbeat: float | None) -> float:
         """Have it beat, in the thread; returns its heartbeat period in seconds."""
@@ -350,7 +357,9 @@ class Node:
     def _start(self, users: tuple[OnNode, ...]) -> None:
         """Have it obey what it was told: that is what is safe; in the thread."""
         for user in users:
-            with contextlib.suppress(SdoAbortedError):  # it may take it once it runs
+            # It may take it once it runs; whose file is another's hears of it later.
+            with contextlib.suppress(SdoAbortedError, DeviceFaultError):
+                self._identify(user.dictionary)
                 user.make_ready(self.remote)
         self.remote.nmt.state = "OPERATIONAL"
 
