@@ -6,11 +6,8 @@ file or an installation cannot be used; 3 a replay differs; 128 + n signal n end
 
 import sys
 from collections.abc import Sequence
-from typing import Final
 
 __all__ = ["main"]
-
-INTERRUPTED: Final = 130  # The exit code after Ctrl-C: 128 and the number of SIGINT
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -24,4 +21,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
         _main.main(arguments)
     except KeyboardInterrupt:  # before the verb has taken care of it, or once more
-        sys.exit(INTERRUPTED)
+        sys.exit(130)  # 128 and the number of SIGINT

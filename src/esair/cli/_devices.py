@@ -18,8 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from esair import discovery
-from esair.cli import INTERRUPTED
-from esair.cli._errors import CANNOT_USE, tell
+from esair.cli._errors import CANNOT_USE, INTERRUPTED, tell
 from esair.discovery import Device, Plugs, Wakes
 from esair.exceptions import EsairError, describe
 
