@@ -699,6 +699,29 @@ class Docking(esair.Behavior):
                 request.answer(Docked(request.data.bay + 1))
 
 
+@attrs.frozen
+class Open(esair.Request[str]):
+    code: str
+    hint: str | None = None
+    tries: int | str = 1
+
+
+class Door(esair.Behavior):
+    @esair.answers
+    async def opened(self, request: Open) -> str:
+        return f"{request.code!r} {request.hint!r} {request.tries!r}"
+
+
+@pytest.mark.promise("OPS-2")
+async def test_typed_digits_are_a_text_where_only_a_text_is_taken(rover, raw):
+    """In the fields of a request, too: a terminal has no other word for 5678."""
+    fields = {"code": 5678, "hint": 12, "tries": 3}
+    async with rover(Door()), raw() as client:
+        given = {"receiver": "door", "request": "Open", "fields": fields}
+        done = await client.do("1", "ask", **given)
+        assert done["result"] == "'5678' '12' 3"
+
+
 class Listens(esair.Behavior):
     def __init__(self, **options) -> None:
         super().__init__(**options)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import attrs
 
 from esair.actions import Request
+from esair.config import fields_of
 from esair.exceptions import (
     BadValueError,
     ConfigError,
@@ -22,7 +23,7 @@ from esair.messages import is_placed
 from esair.recording import plain
 from esair.seat._leases import SECONDS, answer_of
 from esair.seat._status import settings
-from esair.seat._values import axes, command_of, fitted, typed
+from esair.seat._values import as_text, axes, command_of, fitted, typed
 from esair.values import check_name, check_party
 
 if TYPE_CHECKING:
@@ -301,6 +302,11 @@ async def _ask(
     if kind is None:
         hint = hint_for(request, sorted(takes), "it takes")
         raise RefusedError(f"it takes no {request:.80}{hint}", receiver)
+    known = fields_of(kind) or {}
+    fields = {
+        key: as_text(value, known[key].kind) if key in known else value
+        for key, value in fields.items()
+    }
     made: Request[Any] = typed(fields, kind, receiver, "request")
     answer = await behaviors.ask(
         made, sender=console.name, receiver=receiver, timeout=timeout

@@ -13,6 +13,7 @@ from esair.config import INVALID, convert, fields_of
 from esair.exceptions import BadValueError
 from esair.recording import fields_of as parts_of
 from esair.resources import Actuator
+from esair.values import alternatives
 
 Range = tuple[float, float] | None
 
@@ -30,13 +31,19 @@ def typed(value: Any, kind: Any, component: str, field: str) -> Any:
     return found
 
 
-def fitted(value: Any, kind: Any, component: str, field: str) -> Any:
-    """Return a value of JSON as a type that JSON does not have, any other as it is.
+def as_text(value: Any, kind: Any) -> Any:
+    """Return digits that were typed, 5678, as a text where only a text is taken.
 
-    A text may have been typed as digits: 5678. Of 1.10 nobody knows the last one.
+    Of 1.10 nobody knows the last one.
     """
-    if kind is str and type(value) is int:
-        return str(value)
+    kinds = alternatives(kind)
+    is_text = str in kinds and int not in kinds and float not in kinds
+    return str(value) if is_text and type(value) is int else value
+
+
+def fitted(value: Any, kind: Any, component: str, field: str) -> Any:
+    """Return a value of JSON as a type that JSON does not have, any other as it is."""
+    value = as_text(value, kind)
     is_plain = kind in {float, int, bool, str, type(None)}
     return value if is_plain else typed(value, kind, component, field)
 
