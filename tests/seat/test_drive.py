@@ -1,6 +1,7 @@
 """Driving by hand: a lease that only fresh input renews, by what the wheels were told."""
 
 import asyncio
+import contextlib
 import os
 import pty
 import signal
@@ -289,7 +290,12 @@ class Terminal:
             self.press()
             return any(command != STILL for _, command in wheels.seen[moved:])
 
-        await eventually(is_driving)
+        for _ in range(5):  # what has lapsed is let go first
+            with contextlib.suppress(TimeoutError):
+                await eventually(is_driving, 2.0)
+                return
+            await asyncio.sleep(0.5)
+        raise TimeoutError
 
     def __exit__(self, *_):
         self.process.kill()
@@ -398,3 +404,19 @@ async def test_no_answer_of_the_terminal_is_left_to_the_shell(rover, seen):
             assert terminal.process.poll() is None
             terminal.mend()
             assert await asyncio.to_thread(terminal.process.wait, 5.0) == 0
+
+
+@pytest.mark.promise("OPS-4")
+async def test_a_key_that_is_held_takes_nothing_back(rover, seen, raw):
+    """The last one to take it has it, and may drive away from somebody."""
+    async with rover(wheels=seen), raw() as client:
+        with Terminal() as terminal:
+            await terminal.drive(seen)
+            hand = Hand(client)
+            await hand.take(2.0)
+            for _ in range(20):
+                terminal.press()
+                await hand.listen(0.05)
+            assert not any("lapsed" in each for each in client.lines)
+            await asyncio.sleep(0.5)  # let go
+            await terminal.drive(seen)

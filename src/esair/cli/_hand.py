@@ -138,6 +138,7 @@ class _Wheel:
         self._asked: collections.deque[int] = collections.deque()
         self._answers = False
         self._rest = b""
+        self._pressed = -math.inf
         self._sent: str | None = None
         self._shown = ""
 
@@ -218,7 +219,10 @@ class _Wheel:
         key = max(KEYS, key=lambda each: (keys.rfind(each), keys.endswith(each)))
         if key not in keys:
             return
+        before, self._pressed = self._pressed, time.monotonic()
         if self._lease is None:
+            if self._pressed - before < min(GAP, 0.8 * self._seconds):
+                return  # held all the time: who has taken it over keeps it
             self._take()
             beat = None if self._answers else self._beat
         assert self._lease is not None
@@ -238,7 +242,7 @@ class _Wheel:
                 self._ask(found["beat"])
             elif self._lease and found.get("lapsed") == self._lease["lease"]:
                 self._lease = self._beat = None
-                self._show(f"{self._actuator} is released; {HOW}")
+                self._show(f"{self._actuator} is released; let go, and {HOW}")
             elif found.get("id") == self._sent and "ok" in found:
                 if not found["ok"]:
                     self._show(str(found["error"]["text"]))
