@@ -14,7 +14,6 @@ import esair
 from esair import ResourceState
 from esair.buses.peer import PeerBus
 from esair.buses.peer._wire import Head, packed
-from esair.drivers.peer import Peer, PeerActuator, PeerSensor
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
@@ -152,31 +151,6 @@ async def test_the_owner_refuses_by_its_own_clock() -> None:
         assert await told(mine, bus._beats + 5) == 0
         assert bus.stats.refused == refused + 3
         assert loop.time() > 0
-
-
-@pytest.mark.promise("NET-3", "NET-2")
-async def test_readings_leave_a_slow_way_to_commands() -> None:
-    """Of more than it carries the newest are said: nothing is lost, and all is of now."""
-    pair, driving = Pair(delay=0.005), Driving()
-    pair.network.rate, bus = 20_000.0, pair.to_base
-    pair.sonar = FakeSensor("sonar", "x" * 1000, rate=100.0)
-    robot = esair.Robot(
-        name="rover",
-        resources=[
-            Peer(name="base", bus=bus),
-            PeerSensor(name="far_sonar", remote="sonar", bus=bus, link_rate=100.0),
-            PeerActuator(name="far_wheels", remote="wheels", bus=bus, type=Twist),
-        ],
-        behaviors=[driving],
-    )
-    async with pair.base() as base, robot:
-        await asyncio.sleep(0.5)
-        sent = listen(base)
-        await asyncio.sleep(5.0)
-        assert len([told for _, told in sent if told != STILL]) > 50
-        newest = robot.sensors.channels["far_sonar"].newest
-        assert asyncio.get_running_loop().time() - newest.time < 0.5
-        assert robot.resources.query("far_sonar").losses == 0
 
 
 @pytest.mark.promise("NET-4")

@@ -3,8 +3,9 @@
 Only ``_zenoh.py`` knows zenoh, and imports it when the network is opened.
 """
 
-from esair.buses.peer._bus import BEAT, QUIET, SILENCE, PeerBus, PeerNetwork
+from esair.buses.peer._bus import QUIET, SILENCE, PeerBus, PeerNetwork
 from esair.buses.peer._fake import FakeNetwork
+from esair.buses.peer._pace import BEAT
 from esair.buses.peer._wire import Head, head_of, packed, parts_of
 from esair.buses.peer._zenoh import Network, Tls
 

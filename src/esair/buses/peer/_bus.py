@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, Protocol
 
 from esair.buses._bus import Bus
 from esair.buses._inbox import Inbox, within
+from esair.buses.peer._pace import BEAT, Pace
 from esair.buses.peer._wire import (
     FOR_OWNER,
     FORMS,
@@ -38,9 +39,6 @@ from esair.exceptions import (
 from esair.loop import arrive, fail, spawn, turn_of
 from esair.messages import Stamped
 from esair.values import fits
-
-BEAT = 0.05
-"""How often each side beats, in seconds."""
 
 SILENCE = 1.0
 """A peer is lost whose newest echo is of a beat that was sent so many seconds ago."""
@@ -109,9 +107,7 @@ class PeerBus(Bus):
         """How long a beat and its echo have taken last, in seconds."""
         self.told_at: dict[str, float] = {}
         """Of each sensor when a reading was said last."""
-        self._least = math.inf
-        self._copied_at = self._told_at = NEVER
-        self._is_late, self._pause = False, 0.0
+        self._pace = Pace()
         self._later: dict[str, tuple[float, Any]] = {}
         """Of each sensor what is said when the way is free: when that was measured, and what."""
         self._undeclared: list[Any] = []
@@ -200,7 +196,7 @@ class PeerBus(Bus):
         while True:
             self._beats += 1
             self._sent.append(loop.time())
-            self._pause *= 0.97
+            self._pace.beat()
             self.say("beat")
             silent = loop.time() - self.heard_at
             if self._alive.is_set() and silent > SILENCE:
@@ -277,7 +273,7 @@ class PeerBus(Bus):
                 self._gone("it has restarted")
         if head.beat < self._its_beat or (it := hash((what, data))) in self._taken:
             self.stats.late += 1  # it was overtaken, or has come, on another way
-            self._copied_at = now
+            self._pace.copied(now)
             return False
         if head.beat > self._its_beat:
             self._taken.clear()
@@ -298,7 +294,7 @@ class PeerBus(Bus):
         if since > NEVER:
             self.round_trip = max(0.0, now - since - head.held)
             self.heard_at = max(self.heard_at, since)
-            self._least = min(self._least, self.round_trip)
+            self._pace.echoed(now, since, self.round_trip)
             self._tell_later()
         if what == "bye":
             self._end_run(head.run)
@@ -470,26 +466,13 @@ class PeerBus(Bus):
             self._later[sensor] = at, value
         else:
             self._later.pop(sensor, None)
-            now = self._told_at = asyncio.get_running_loop().time()
-            self.told_at[sensor] = now
+            now = self.told_at[sensor] = asyncio.get_running_loop().time()
+            self._pace.told(now)
             self.say("reading", sensor, max(0.0, float(now - at)), value)
 
     def _is_slow(self) -> bool:
-        """Tell whether readings wait: an echo takes longer than the way itself.
-
-        Each time that begins they are said half as often, and then more often with each
-        beat. What is slow though none was said for a second is the way. While the peer
-        says all on several ways, what it hears comes as often: they are said seldom.
-        """
         now = asyncio.get_running_loop().time()
-        late = max(self.round_trip, now - self.heard_at - 2.0 * BEAT)
-        if (quiet := now - self._told_at) > SILENCE:
-            self._least = late
-        was_late, self._is_late = self._is_late, late > self._least + BEAT
-        if self._is_late and not was_late:
-            self._pause = min(0.5, 2.0 * self._pause + 0.01)
-        is_copied = now - self._copied_at < 2.0 * BEAT
-        return self._is_late or quiet < max(self._pause, 4.0 * BEAT * is_copied)
+        return self._pace.is_slow(now, self.heard_at)
 
     def _tell_later(self) -> None:
         if self._later and not self._is_slow():
