@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections.abc import AsyncIterator
 from typing import Any
 
 import attrs
@@ -391,3 +392,36 @@ async def test_an_answer_of_a_class_that_is_not_known_says_which() -> None:
     async with pair.base(), robot:
         await asyncio.sleep(0.3)
         assert "parts.Twist" in str(robot.resources.query("wheels").error)
+
+
+@pytest.mark.promise("NET-3")
+@pytest.mark.parametrize("where", ["owner", "user"])
+async def test_a_reading_of_a_class_that_is_not_declared_is_a_loss(where: str) -> None:
+    """It says which class, also of the only one: never that nothing is said."""
+    pair = Pair()
+    pair.sonar = Once(name="sonar")
+    (pair.to_rover if where == "user" else pair.to_base).declare(Odd)
+    sonar = PeerSensor(name="sonar", bus=pair.to_base)
+    parts = [Peer(name="base", bus=pair.to_base), sonar]
+    robot = esair.Robot(name="rover", resources=parts)
+    async with pair.base(), robot:
+        for _ in range(5):
+            await asyncio.sleep(1.0)
+            told = robot.resources.query("sonar")
+            assert told.state is not esair.ResourceState.READY
+            assert "Odd" in str(told.error)
+
+
+@attrs.frozen
+class Odd:
+    """A reading of a class of one's own."""
+
+    number: int
+
+
+class Once(esair.Sensor[Odd]):
+    """Pushes one."""
+
+    async def stream(self) -> AsyncIterator[Odd]:
+        yield Odd(1)
+        await asyncio.get_running_loop().create_future()

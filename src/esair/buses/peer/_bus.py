@@ -24,6 +24,7 @@ from esair.buses.peer._wire import (
     LISTED,
     Head,
     head_of,
+    name_of,
     number_of,
     packed,
     parts_of,
@@ -361,6 +362,8 @@ class PeerBus(Bus):
             self._hand_on(what, sent, parts)
         elif what == "answer" and (of := self._pending.get(number_of(body) or 0)):
             arrive(of.outcome, ("lost", str(self.stats.last_error)))
+        elif what == "reading" and (name := name_of(body)):
+            self._hand_on("gone", sent, (name, str(self.stats.last_error)))
 
     def _not_served(self, what: str, body: bytes) -> None:
         """Answer what comes before this robot is ready to serve, or after."""
@@ -457,10 +460,8 @@ class PeerBus(Bus):
     def tell(self, sensor: str, at: float, value: Any) -> None:
         """Say a reading that was measured at a moment of the clock of the loop.
 
-        While what was said before waits on the way only the newest is said, later.
-
-        Raises:
-            BadValueError: It is no plain data: which part of it, and why.
+        While what was said before waits on the way only the newest is said, later. One that
+        is no plain data is said to be gone, and why.
         """
         if self._is_slow():
             self._later[sensor] = at, value
@@ -468,7 +469,10 @@ class PeerBus(Bus):
             self._later.pop(sensor, None)
             now = self.told_at[sensor] = asyncio.get_running_loop().time()
             self._pace.told(now)
-            self.say("reading", sensor, max(0.0, float(now - at)), value)
+            try:
+                self.say("reading", sensor, max(0.0, float(now - at)), value)
+            except BadValueError as error:
+                self.say("gone", sensor, describe(error))
 
     def _is_slow(self) -> bool:
         now = asyncio.get_running_loop().time()
@@ -478,10 +482,7 @@ class PeerBus(Bus):
         if self._later and not self._is_slow():
             later, self._later = self._later, {}
             for sensor, (at, value) in later.items():
-                try:
-                    self.tell(sensor, at, value)
-                except BadValueError as error:
-                    self.say("gone", sensor, describe(error))
+                self.tell(sensor, at, value)
 
     def _say_again(self) -> None:
         """Say what may have been lost in a gap."""

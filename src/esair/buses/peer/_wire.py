@@ -25,6 +25,8 @@ LISTED: Final = 256
 
 _NUMBERED: Final = re.compile(rb"\x01t\x03\0\0\0i(.{8})", re.DOTALL)
 
+_NAMED: Final = re.compile(rb"\x01t\x03\0\0\0s(.)", re.DOTALL)
+
 _HEAD: Final = struct.Struct("<QQQQd")
 
 FORMS: Final[Mapping[str, tuple[Any, ...]]] = {
@@ -116,6 +118,13 @@ def number_of(body: bytes) -> int | None:
     """Return the number of an ask, or a write, whose rest cannot be read."""
     found = _NUMBERED.match(body)
     return None if found is None else int.from_bytes(found[1], "little", signed=True)
+
+
+def name_of(body: bytes) -> str:
+    """Return the name of a sensor whose reading cannot be read."""
+    found = _NAMED.match(body)
+    end = 0 if found is None else found.end()
+    return body[end : end + body[end - 1]].decode(errors="replace") if end else ""
 
 
 def key_of(to: str, sender: str, what: str) -> str:
