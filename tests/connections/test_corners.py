@@ -11,6 +11,7 @@ import pytest
 
 import esair
 from esair.buses import Bus
+from esair.loop import Order
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
@@ -77,7 +78,7 @@ async def test_following_twice_feeds_once():
 
     class Count:
         registration: Any = None
-        fed, grace = 0, 0.0
+        fed, order = 0, Order.WAKE
 
         def feed(self, reading: object) -> None:
             self.fed += 1

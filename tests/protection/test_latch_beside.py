@@ -85,6 +85,34 @@ async def test_another_guard_does_not_keep_it_open(kind: str, priority: int) -> 
         assert wheels.commands[-1] == 0.3
 
 
+@pytest.mark.parametrize("rate", [None, 30.0, 130.0])
+@pytest.mark.parametrize("loss", ["unplug", "stall"])
+async def test_a_reaction_does_not_keep_it_open(loss: str, rate: float | None) -> None:
+    """It is blind at the same moment, and keeps the belt still: that was moving then."""
+
+    class Near(esair.Reaction):
+        door = esair.reads(float)
+        wheels = esair.writes(float, priority=50)
+
+        def react(self, door: float) -> float | None:
+            return None
+
+    wheels = FakeActuator("wheels", safe=0.0)
+    door = FakeSensor("door", 1.0, type=float, rate=50.0)
+    near, stop = Near(), Stop()
+    if rate is not None:
+        near.rate = stop.rate = rate
+    async with esair.Robot(resources=[wheels, door], behaviors=[Belt(), near, stop]):
+        await asyncio.sleep(1.0)
+        assert wheels.commands[-1] == 0.3
+        getattr(door, loss)()
+        await asyncio.sleep(0.5)
+        door.resume()
+        door.plug()
+        await asyncio.sleep(1.0)
+        assert wheels.commands[-1] == 0.0
+
+
 async def test_what_did_not_move_latches_nothing() -> None:
     """Another guard that stops meanwhile is not enough."""
     wheels = FakeActuator("wheels", safe=0.0)

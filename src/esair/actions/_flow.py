@@ -46,6 +46,9 @@ Sensing = tuple[SensorChannel, Registration, float | None]
 Moving = tuple[ActuatorChannel, Registration]
 """An actuator of a reaction: its channel, and the right to it."""
 
+GRACE = 1e-5
+"""How many seconds a reading may be older than its limit: timers are early."""
+
 _QUICK = 100.0
 """From this rate on, in Hz, the next step finds soon enough that a reading is too old."""
 
@@ -77,7 +80,7 @@ class Input:
         if limit is None:
             limit = self.channel.max_age
         if limit < NEVER:
-            self.stale_at = reading[1] + limit + senses.grace
+            self.stale_at = reading[1] + limit + GRACE
             senses.refresh(self)
         if not self.ready:
             self.ready = True
@@ -100,9 +103,9 @@ class Input:
         return self.channel.max_age if self.max_age is None else self.max_age
 
     @property
-    def grace(self) -> float:
-        """Who has more of it is told later of what happens in one moment."""
-        return self.senses.grace
+    def order(self) -> Order:
+        """When it is told of what happens in one moment: a guard is the last."""
+        return self.senses.order
 
     def changed(self, error: EsairError | None) -> None:
         """Park the reaction when the sensor is gone; feeding it wakes it up."""
@@ -115,7 +118,7 @@ class Input:
         """Have the newest reading for as long as is said now, where the sensor says it."""
         newest = self.channel.newest
         if self.ready and self.max_age is None and newest is not None:
-            self.stale_at = newest[1] + self.limit + self.senses.grace
+            self.stale_at = newest[1] + self.limit + GRACE
             self.senses.refresh(self)
 
     def doubt(self, error: EsairError) -> None:
@@ -148,8 +151,8 @@ class Senses:
     _needs: Mapping[str, Reads[Any]]
     names: tuple[str, ...]
     """The ports that give ``react`` its readings, in the order of its parameters."""
-    grace: float
-    """How many seconds a reading may be older than its limit: timers are early."""
+    order: Order
+    """When it is told that a reading is too old, among those to whom that happens then."""
     _rate: float | None
     values: list[Any] = attrs.field(init=False)  # the newest, in the order of the names
     inputs: list[Input] = attrs.field(factory=list)
@@ -273,7 +276,7 @@ class Senses:
             self._watch.cancel()
         self._watch_at = self.stale_at
         deadlines = Deadlines.of(asyncio.get_running_loop())
-        self._watch = deadlines.at(self.stale_at, self._look, order=Order.STALE)
+        self._watch = deadlines.at(self.stale_at, self._look, order=self.order)
 
     def _look(self) -> None:
         """Park a reaction that nothing steps before a reading is too old."""

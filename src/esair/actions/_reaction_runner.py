@@ -28,6 +28,7 @@ from esair.connections import (
 from esair.exceptions import BadValueError, BehaviorFailedError, EsairError
 from esair.loop import (
     Job,
+    Order,
     Owner,
     Scheduler,
     Step,
@@ -98,8 +99,8 @@ class ReactionRunner:
 
     input_type: ClassVar[type[Input]] = Input  # what each of its sensors feeds
 
-    grace: ClassVar[float] = 1e-5
-    """Seconds that a reading may be older than its limit: timers are early."""
+    order: ClassVar[Order] = Order.STALE
+    """When it is told that a reading is too old, or gone: others hear of it then, too."""
 
     def __init__(
         self,
@@ -127,7 +128,7 @@ class ReactionRunner:
         names, react = ordered(reaction)
         self._react: Callable[..., Any] = self.clock.telling(react)
         self.senses: Senses = Senses(
-            self, reaction.inputs, names, self.grace, reaction.rate
+            self, reaction.inputs, names, self.order, reaction.rate
         )
         self.outputs: Outputs = Outputs(self)
         self.job: Job = self.scheduler.on_demand(self._turn, name=reaction.name)
@@ -348,7 +349,7 @@ class GuardRunner(ReactionRunner):
     that was asked for last is put to it.
     """
 
-    grace = 2e-5  # what moves by the same reading is safe before: that latches nothing
+    order = Order.DARK
 
     __slots__ = ("_channel", "_port", "_protection", "_sight")
 

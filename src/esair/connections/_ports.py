@@ -28,6 +28,7 @@ from esair.loop import (
     READ_COST,
     WRITE_COST,
     Budget,
+    Order,
     current_owner,
     fail,
     speaks_for_nobody,
@@ -299,7 +300,7 @@ class SensorPort(Port[T]):
 class _Stream:
     """What one loop over a port has seen, and whether it waits for more."""
 
-    grace = 0.0
+    order = Order.WAKE
 
     def __init__(self, port: SensorPort[Any]) -> None:
         self.registration = port.registration

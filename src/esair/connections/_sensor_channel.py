@@ -26,6 +26,7 @@ from esair.exceptions import (
 )
 from esair.flaws import owned, read_only
 from esair.journal import Kind
+from esair.loop import Order
 from esair.messages import (
     OpenReading,
     Reading,
@@ -54,8 +55,8 @@ class Follower(Protocol):
         """The right by which it follows; None if it hands nothing on."""
 
     @property
-    def grace(self) -> float:
-        """Who has more of it is told later of what happens in one moment."""
+    def order(self) -> Order:
+        """When it is told of what happens in one moment: a guard is the last."""
 
     def feed(self, reading: Reading[Any]) -> None:
         """Take a new reading; must not wait."""
@@ -264,7 +265,7 @@ class SensorChannel(Device):
         """Feed every new reading to a follower; polls the device meanwhile."""
         if follower not in self._followers:
             followers = (*self._followers, follower)
-            self._followers = tuple(sorted(followers, key=lambda each: each.grace))
+            self._followers = tuple(sorted(followers, key=lambda each: each.order))
             self._start_polling()
 
     def unfollow(self, follower: Follower) -> None:

@@ -75,7 +75,8 @@ class Order(enum.IntEnum):
     WAKE = 2  # go on with what waited for this moment
     EXPIRY = 3  # end a call or a wait that was not over until this moment
     STALE = 4  # see that a reading has become too old, or that a hold has ended
-    DEAD = 5  # make an actuator safe that nobody has written until this moment
+    DARK = 5  # the same for a guard: what moves by that reading is safe before
+    DEAD = 6  # make an actuator safe that nobody has written until this moment
 
 
 class Callee(Protocol):
