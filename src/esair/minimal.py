@@ -721,18 +721,19 @@ class Loop:
         try:
             try:
                 self.open()
-                begin = _ticks() & _MASK
+                begin = _ticks() - _LONGEST
                 while steps != 0:
                     self.step()
                     if steps:
                         steps -= 1
                     if feed:
                         feed()
-                    late = ((_ticks() - begin - self._ms + _LONGEST) & _MASK) - _LONGEST
-                    if late > 0:
-                        self.skip(late * self.every // 1000000)
-                    else:
-                        _sleep(-late)
+                    while True:  # it may sleep too long
+                        late = _ticks() - begin - self._ms & _MASK
+                        if late >= _LONGEST:
+                            break
+                        _sleep(_LONGEST - late)
+                    self.skip((late - _LONGEST) * self.every // 1000000)
             finally:
                 self.close()
         finally:  # Ctrl-C may have come once more, before that could begin

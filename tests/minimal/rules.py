@@ -485,6 +485,29 @@ def rule_a_block_of_ten_minutes_costs_no_sleep():
     assert loop.now_ms == 600080, loop.now_ms
 
 
+def rule_a_sleep_that_lasts_too_long_is_noticed_before_the_next_step():
+    """What was seen before it is as old as it is: nobody moves by it once more."""
+    clock, moved = [1000], []
+    real = minimal._ticks, minimal._sleep
+
+    def sleep(ms):
+        clock[0] += ms + 1000 * (len(moved) == 2)
+
+    class Steady(GoOn):
+        rate = 50
+
+    minimal._ticks, minimal._sleep = (lambda: clock[0]), sleep
+    try:
+        motor = Motor()
+        sonar = Sonar(0.5, 0.5, *[OSError(5)] * 9)
+        loop = Loop([Steady()], [sonar], [motor], rate=50)
+        loop.run(steps=4, feed=lambda: moved.append(motor.told[-1]))
+    finally:
+        minimal._ticks, minimal._sleep = real
+    assert moved == [0.5, 0.5, 0.0, 0.0], moved
+    assert loop.late == 50, loop.late
+
+
 def rule_the_highest_priority_wins_whatever_the_order():
     class Low(Go):
         motor = writes(float, priority=1)

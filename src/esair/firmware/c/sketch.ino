@@ -12,5 +12,5 @@ ${setup}    robot_open();
 void loop()
 {
 ${each}    robot_step();
-    delay(robot_wait(millis() - begun));
+    while (uint32_t ms = robot_wait(millis() - begun)) delay(ms); // it may last too long
 }
