@@ -14,6 +14,7 @@ from esair.drivers.canopen import CanopenActuator
 from esair.drivers.dbc import DbcActuator
 from esair.drivers.gpio import DigitalOutput
 from esair.drivers.line import LineActuator
+from esair.drivers.modbus import ModbusActuator
 from esair.drivers.odrive import OdriveAxis
 from esair.drivers.pca9685 import PwmChannel
 from esair.drivers.pca9685.fake import FakePca9685
@@ -110,6 +111,30 @@ async def test_a_servo_that_lets_go() -> None:
     await servo.write(servo.safe)
     assert fakes.written[-1] == packet
     await bus.close()
+
+
+@pytest.mark.promise("GRD-2")
+@pytest.mark.parametrize("left", range(1, 16))
+def test_a_packet_that_was_cut_in_half_takes_no_safe_one_with_it(left: int) -> None:
+    """The servo takes the next bytes for its rest, whoever sends them."""
+    fakes = FakeServos([1])
+    bus = ServoBus(name="arm", wire=fakes)
+    frames = Servo(bus=bus, safe=Goal(mode=Mode.RELEASE)).safe_frames()
+    assert frames is not None
+    fakes.servos[1].table[64] = 1
+    motion = bus.packet(1, 116, 3000, 4)
+    fakes.heard(motion[:left] + b"".join(frames.frames * frames.repeat))
+    assert not fakes.servos[1].torque
+
+
+def test_a_register_of_a_modbus_unit() -> None:
+    """On a serial line silence ends a message: as long as a frame takes, and more."""
+    bus = FakeSerial("plc", framing="modbus-rtu", baudrate=9600)
+    valve = ModbusActuator(bus=bus, register=3, safe=0.0)
+    frames = valve.safe_frames()
+    assert frames.frames == (bytes.fromhex("010600030000") + b"\x79\xca",)
+    assert frames.repeat == 3
+    assert frames.gap > (8 + 3.5) * 10 / 9600
 
 
 def test_a_servo_that_has_to_hold_is_not_watched() -> None:

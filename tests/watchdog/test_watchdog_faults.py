@@ -376,6 +376,25 @@ async def test_what_one_device_cannot_take_is_its_own_fault(line: Line) -> None:
     assert "too long" in device.error
 
 
+def test_frames_with_a_gap_are_each_sent_after_silence() -> None:
+    """What was cut in half before them has ended then."""
+    told = {"name": "valve", "wire": "serial", "target": {}, "frames": ["01", "02"]}
+    near, far = os.pipe()
+    device = Device({**told, "gap": 0.01}, [far])
+    began = time.monotonic()
+    device.begin()
+    came: list[float] = []
+    while device.is_left():
+        if len(device.left) < 2 - len(came):
+            came.append(time.monotonic() - began)
+    came.append(time.monotonic() - began)
+    assert came[0] >= 0.01
+    assert came[1] >= 0.02
+    assert os.read(near, 3) == b"\1\2"
+    os.close(near)
+    os.close(far)
+
+
 async def test_hundreds_may_be_armed_at_the_same_time(dog: Watchdog) -> None:
     """They wait until there is room in the channel, both ways."""
     outlet = Outlet("i2c", target={"path": "/nowhere"})

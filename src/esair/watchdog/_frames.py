@@ -26,12 +26,15 @@ class SafeFrames:
         resync: What is sent before the first of them on a serial line, so that the device
             ends a message that was cut in half; must be nothing to a device that waits.
         repeat: How often all of it is sent.
+        gap: The silence before each of them, in seconds, where nothing else ends a message
+            that was cut in half; how long a frame takes to be sent included.
         address: The address of the chip on I²C.
     """
 
     frames: tuple[bytes, ...] = attrs.field(converter=_tuple)
     resync: bytes = b""
     repeat: int = 1
+    gap: float = 0.0
     address: int = 0
 
 

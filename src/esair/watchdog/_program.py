@@ -30,7 +30,7 @@ class Device:
     def __init__(self, told: dict[str, Any], descriptors: list[int]) -> None:
         self.name, self.wire, self.target = told["name"], told["wire"], told["target"]
         self.frames = [bytes.fromhex(frame) for frame in told["frames"]]
-        self.left, self.error = self.frames, ""
+        self.left, self.error, self.gap = self.frames, "", told.get("gap", 0.0)
         if self.wire == "can":
             can = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
             can.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")
@@ -46,7 +46,7 @@ class Device:
 
     def begin(self) -> None:
         """Throw away the motion that still waits in the kernel."""
-        self.left = self.frames
+        self.left, self.due = self.frames, time.monotonic() + self.gap
         with contextlib.suppress(Exception):  # a pipe has no such queue
             os.set_blocking(self.descriptor, False)  # the robot's, too: not before
             termios.tcflush(self.descriptor, termios.TCOFLUSH)
@@ -55,9 +55,12 @@ class Device:
     def is_left(self) -> bool:
         """Send what goes out now; tell whether something is left."""
         try:
-            while self.left:
+            while self.left and time.monotonic() >= self.due:
                 rest = self.left[0][self.write(self.left[0]) :]
-                self.left = [rest, *self.left[1:]] if rest else self.left[1:]
+                self.left, self.due = (
+                    [rest, *self.left[1:]] if rest else self.left[1:],
+                    time.monotonic() + self.gap * (not rest),
+                )
         except Exception as error:  # the others are to be made safe all the same
             self.error = str(error)
         return bool(self.left)

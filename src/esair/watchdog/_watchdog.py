@@ -182,6 +182,7 @@ class Watchdog:
             "name": name,
             "wire": outlet.kind,
             "frames": [frame.hex() for frame in sent],
+            "gap": frames.gap,
             "target": dict(outlet.target) | {"address": frames.address},
         }
         async with self._room:

@@ -268,7 +268,8 @@ class LineActuator(_OnLine, Actuator[float]):
     def safe_frames(self) -> SafeFrames:
         """The safe number, after what ends a line that was cut in half."""
         line = self.bus.framing.encode(encode_value(self.key, self.safe))
-        return SafeFrames([line], resync=self.bus.resync)
+        resync = self.bus.resync
+        return SafeFrames([line], resync=resync, repeat=1 if resync else 3)
 
     @property
     def can_tell_set_up(self) -> bool:

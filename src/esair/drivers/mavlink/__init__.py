@@ -482,7 +482,8 @@ class RcOverride(_OnVehicle, Actuator[dict[str, float]]):
 
     def safe_frames(self) -> SafeFrames:
         """The safe sticks."""
-        return SafeFrames([self.bus.framing.encode(self._override(self.safe))])
+        frame = self.bus.framing.encode(self._override(self.safe))
+        return SafeFrames([frame], repeat=3)  # one may end what was cut in half
 
     async def open(self) -> None:
         """Wait for the vehicle's heartbeat, and watch out for it from then on."""

@@ -300,7 +300,14 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
         """The safe value, as bytes of a serial line."""
         message = self._message(self._request(self.safe))
         # A framing of its own: this may be asked for while an answer comes.
-        return SafeFrames([self.bus.framing.fresh().encode(message)])
+        frame = self.bus.framing.fresh().encode(message)
+        if isinstance(self.bus.framing, ModbusTcp):
+            return SafeFrames([frame])
+        # Silence alone ends a message that was cut, and one answer may come meanwhile.
+        gap = 0.002 + self.bus.seconds_for(
+            len(frame) + 4
+        )  # by the standard 1.75 ms, 3.5
+        return SafeFrames([frame], repeat=3, gap=gap)
 
     @property
     def can_tell_set_up(self) -> bool:

@@ -277,7 +277,8 @@ class Servo(Torqued[Goal]):
         """No torque; None if it has to hold, for which its place must be asked first."""
         if self.safe.mode is not Mode.RELEASE:
             return None
-        return SafeFrames([self.bus.packet(self.id, self.bus.table.torque, 0)])
+        packet = self.bus.packet(self.id, self.bus.table.torque, 0)
+        return SafeFrames([packet], repeat=3)  # one may end what was cut in half
 
     async def open(self) -> None:
         """Make sure that the servo answers, and is in its mode; nothing moves by that."""

@@ -38,7 +38,8 @@ class _Turned(Torqued[float]):
     def safe_frames(self) -> SafeFrames:
         """The number that is safe."""
         entry = self._entry
-        return SafeFrames([self.bus.packet(self.id, entry.address, 0, entry.size)])
+        packet = self.bus.packet(self.id, entry.address, 0, entry.size)
+        return SafeFrames([packet], repeat=3)  # one may end what was cut in half
 
     async def open(self) -> None:
         """Make sure that the servo answers, and is in its mode; nothing moves by that."""
