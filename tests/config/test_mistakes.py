@@ -366,6 +366,20 @@ def test_a_module_that_another_robot_brought_is_not_taken(project, tmp_path) -> 
     assert "has imported another" in project.mistakes()["sensor.sonar.driver"]
 
 
+def test_a_module_named_as_a_package_of_esair_is_a_mistake(
+    project, monkeypatch
+) -> None:
+    """The bus would import it in place of its package, and find nothing there."""
+    monkeypatch.delitem(sys.modules, "udsoncan", raising=False)
+    code = (project.folder / f"{project.module}.py").read_text()
+    (project.folder / "udsoncan.py").write_text(code)
+    project.changed('"{m}:Sonar"', '"udsoncan:Sonar"')
+
+    found = project.mistakes()["sensor.sonar.driver"]
+    sys.modules.pop("udsoncan", None)
+    assert "esair needs the package 'udsoncan'" in found
+
+
 @pytest.mark.fault("G08")
 def test_an_actuator_without_a_safe_command_is_refused(project) -> None:
     """There is no default."""

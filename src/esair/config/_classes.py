@@ -14,6 +14,7 @@ import re
 import sys
 import traceback
 from collections.abc import Iterator, Mapping
+from importlib.machinery import PathFinder
 from pathlib import Path
 from types import ModuleType
 from typing import Final
@@ -186,19 +187,35 @@ def _checked_class(
 
 
 def _another_module(top: str, folder: Path) -> str | None:
-    """Say so if a module beside the file is not the one that was imported."""
+    """Say so if a module beside the file has the name of another one that is used."""
     origin = getattr(sys.modules.get(top), "__file__", None)
-    if origin is None or top == "__main__":
+    both = folder / f"{top}.py", folder / top / "__init__.py"
+    beside = next((each for each in both if each.is_file()), None)
+    if origin is None or beside is None or top == "__main__":
         return None
-    for beside in (folder / f"{top}.py", folder / top / "__init__.py"):
-        if beside.is_file():
-            if Path(origin).resolve() == beside.resolve():
-                return None
-            return (
-                f"this process has imported another {top!r} already, from {origin}, "
-                f"so {beside} cannot be used: give one of them another name"
-            )
+    if Path(origin).resolve() != beside.resolve():
+        return (
+            f"this process has imported another {top!r} already, from {origin}, "
+            f"so {beside} cannot be used: give one of them another name"
+        )
+    if _is_needed(top, folder):
+        return f"esair needs the package {top!r}: give {beside} another name"
     return None
+
+
+def _is_needed(top: str, folder: Path) -> bool:
+    """Whether esair imports the installed module of a name, maybe later."""
+    others = [each for each in sys.path if Path(each).resolve() != folder.resolve()]
+    if PathFinder.find_spec(top, others) is None:
+        return False
+    try:
+        needed = " ".join(importlib.metadata.requires("esair") or ())
+    except importlib.metadata.PackageNotFoundError:
+        return False
+    found = importlib.metadata.packages_distributions().get(top, ())
+    return not {each.lower() for each in found}.isdisjoint(
+        re.findall(r"[\w.-]+", needed)
+    )
 
 
 def _why_not_imported(module_name: str, error: BaseException, folder: Path) -> str:
