@@ -188,7 +188,8 @@ async def test_what_was_kept_is_told_once() -> None:
     sensor: Any = MqttSensor(topic="goal", retained=True, bus=bus)
     async with opened(sensor), aclosing(sensor.stream()) as stream:
         assert await anext(stream) == 3.0
-        bus.feed("goal", "4")
+        with await bus.subscribe("goal"):
+            bus.feed("goal", "4")
         assert await anext(stream) == 4.0
         with await bus.subscribe("#"):
             bus.feed("goal", "5")

@@ -158,8 +158,8 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
         kind: ``"number"``, ``"switch"`` (a bool), ``"text"`` or ``"json"``.
         value: The way to it in JSON, such as ``"level.cm"`` or ``"cells.0"``.
         on: What a switch says when it is on; ``off`` likewise.
-        retained: Whether what the broker has kept is a reading, too, however old it is,
-            until something newer has come.
+        retained: Whether what the broker has kept is a reading, too, however old it is:
+            one, unless something newer has come.
         silent_after: After how many seconds without a value the device is lost; it may
             be silent for ever if None.
         status: The topic of the device's last will; it is lost unless ``online`` is
@@ -175,7 +175,6 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
     """
 
     _bad_in_row = 0
-    _is_live = False
 
     _topic_of_announcement = "command_topic"
     counted: ClassVar[tuple[str, ...]] = ("bad_payloads",)
@@ -204,7 +203,7 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
 
     async def open(self) -> None:
         """Make sure that it is there, if it has to say so."""
-        self._is_live = False
+        self._told: set[str] = set()
         await self._announce()
         if self.status is None and self.silent_after is None:
             return
@@ -231,9 +230,10 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
         """Return the value of a message, if it has one; ``null`` of JSON is one, too."""
         if self._is_status(message):
             return None
-        self._is_live = self._is_live or not message.retained
-        if message.retained and (self._is_live or not self.retained):
+        if message.retained and (not self.retained or message.topic in self._told):
             return None  # or it is told again because somebody else asks for it
+        if self.retained:
+            self._told.add(message.topic)
         try:
             value = self._decoded(message.payload)
         except (ValueError, LookupError, TypeError, ArithmeticError, RecursionError):
