@@ -55,7 +55,7 @@ def deploy(
     What was compiled is copied rather than its text. A program that runs there is
     asked to make room: it ends with its safe commands, and the board starts without it,
     and without its watchdog. If this is cut at any moment, the board starts the old
-    program, the new one, or none.
+    program, the new one, or none; if there is no room, or Ctrl-C ends it, the old one.
 
     Args:
         folder: What `build` has written.
