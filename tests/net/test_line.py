@@ -208,6 +208,20 @@ def test_an_answer_to_a_knock_is_not_waited_for() -> None:
     line.end()
 
 
+def test_where_no_way_leads_nobody_is_in_haste() -> None:
+    """As without a cable: a knock that cannot begin has its answer, once in a while."""
+    line = Line("255.255.255.255", 7447, TIMEOUT, _made)
+    line.silent = True
+    began, steps = time.monotonic(), 0
+    while time.monotonic() - began < 4.0 * PAUSE:
+        line.step(time.monotonic())
+        pause([line])
+        steps += 1
+    assert steps < 20
+    assert len(line.knocks) <= 1
+    line.end()
+
+
 def _made(_line: Line) -> Any:
     return FakeWay()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import select
 import socket
 import threading
@@ -55,12 +56,13 @@ class Knock:
     def __init__(self, family: int, address: Any) -> None:
         self._socket = socket.socket(family, socket.SOCK_STREAM)
         self._socket.setblocking(False)
-        self._socket.connect_ex(address)
+        self._begun = self._socket.connect_ex(address) in {0, errno.EINPROGRESS}
         self.close, self.fileno = self._socket.close, self._socket.fileno
 
     def answer(self) -> bool | None:
         """Tell whether it is connected; None if that is not known yet."""
-        if self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+        error = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        if error or not self._begun:  # it was refused, or there is no way at all
             return False
         with contextlib.suppress(OSError):
             return bool(self._socket.getpeername())
