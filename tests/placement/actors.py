@@ -417,8 +417,9 @@ class Opens(Values):
         return self.opened
 
     @esair.operation
-    async def unplug(self) -> None:
+    async def unplug(self) -> str:
         self.report_lost(ConnectionError("unplugged"))
+        return "unplugged"
 
 
 LEAVES: Final = {"exit": SystemExit(3), "cancel": asyncio.CancelledError()}

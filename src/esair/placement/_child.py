@@ -412,7 +412,9 @@ class Child(Exchange):
         if error is None:
             self.note("arrived")
         else:
-            self.note("lost", raisable(error, self.who))
+            # Behind the answer of a call that says so and is over.
+            lost = raisable(error, self.who)
+            self.loop.call_soon_threadsafe(self.note, "lost", lost)
 
     async def _apply(self, **changes: Any) -> None:
         await _called(self.component.apply)(**changes)

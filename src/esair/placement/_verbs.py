@@ -142,7 +142,11 @@ def verbs_of(component: Any, seat: Seat) -> Verbs:
     if isinstance(component, Reaction):
         return PortVerbs(seat, component)
     verbs = Verbs()  # what a driver says beside its answers
-    verbs.plain |= {"lost": component.report_lost, "arrived": component.report_arrived}
+
+    def lost(error: Any) -> None:  # behind the answer of a call that says so
+        asyncio.get_running_loop().call_soon(component.report_lost, error)
+
+    verbs.plain |= {"lost": lost, "arrived": component.report_arrived}
     return verbs
 
 
