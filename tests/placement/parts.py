@@ -8,6 +8,7 @@ import ctypes
 import logging
 import math
 import os
+import resource
 import signal
 import socket
 import sys
@@ -27,6 +28,16 @@ from esair.placement._wire import Item, Op
 class Twist:
     linear: float
     angular: float
+
+
+class Leaks(esair.Behavior):
+    """Has no descriptor left for what it wants to send."""
+
+    placement = "process"
+
+    async def run(self) -> None:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (3, 3))
+        self.offer("x" * 200_000)
 
 
 class Sonar(esair.Sensor[float]):

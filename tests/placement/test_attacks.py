@@ -8,6 +8,7 @@ import errno
 import math
 import os
 import queue
+import shutil
 import signal
 import socket
 import struct
@@ -24,6 +25,7 @@ import pytest
 from tests.placement.parts import (
     Avoid,
     Drive,
+    Leaks,
     Liar,
     Performer,
     Talker,
@@ -263,6 +265,25 @@ async def test_the_process_that_makes_children_is_replaced() -> None:
         await until(lambda: STOP in wheels.commands)
         before = len(wheels.commands)
         await until(lambda: Twist(0.3, 0.0) in wheels.commands[before:])
+
+
+@pytest.mark.promise("PLC-3")
+async def test_what_makes_children_and_does_not_start_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With how it has ended, in the error of who wanted one."""
+    monkeypatch.setattr(sys, "executable", shutil.which("false"))
+    async with esair.Robot(resources=[fake_wheels()], behaviors=[Drive()]) as robot:
+        await until(lambda: robot.behaviors.query("drive").restarts >= 1)
+        assert "makes processes" in str(robot.behaviors.query("drive").error)
+
+
+@pytest.mark.promise("PLC-3")
+async def test_what_a_child_cannot_send_is_in_its_last_words() -> None:
+    """Its robot is there: that it ended by itself would be no reason."""
+    async with esair.Robot(behaviors=[Leaks()]) as robot:
+        await until(lambda: robot.behaviors.query("leaks").restarts >= 1)
+        assert "Too many open files" in str(robot.behaviors.query("leaks").error)
 
 
 @pytest.mark.promise("PLC-2", "PLC-5")

@@ -197,7 +197,7 @@ class Child(Exchange):
             kind = Op.TURN  # there is more to tell
         try:
             self._wire.send(kind, wake, items)
-        except OSError:
+        except ConnectionError:
             self.end()
 
     def _receive(self) -> list[Item]:

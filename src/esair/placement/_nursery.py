@@ -121,6 +121,11 @@ class Nursery:
             ready.register(self._control, select.POLLIN)
             ready.poll()
 
+    def told(self) -> str:
+        """Say why a child did not start whose status has come to nothing."""
+        how = told_end(self._process.poll())
+        return f"did not start: what makes processes, {sys.executable}, {how}"
+
     def child(self) -> Ends:
         """Ask for a child; what is told to it waits until it is there.
 
@@ -146,7 +151,8 @@ class Nursery:
                 if self._process.poll() is not None:  # somebody has killed it
                     self._control.close()
                     self._start()
-                socket.send_fds(self._control, [b"c"], given)
+                with contextlib.suppress(BrokenPipeError):  # told by the status
+                    socket.send_fds(self._control, [b"c"], given)
             failed.pop_all()
             return Ends(wire, words, status)
 

@@ -139,7 +139,7 @@ class Process(Exchange):
         self._hangs_really_at = NEVER
         """The same on the computer's clock, where time does not pass while it works."""
         self._hang = Deadlines.beside(loop).idle(self._hung)
-        ends = nursery.child()
+        self._nursery, ends = nursery, nursery.child()
         self._wire = Wire(ends.wire)
         self._words = Words(name, ends.words, loop)
         self._status = ends.status
@@ -277,8 +277,10 @@ class Process(Exchange):
             return
         try:
             self._wire.send(Op.GO, now, self.message())
-        except OSError:
+        except ConnectionError:
             return  # it is gone: its status tells more
+        except OSError as error:
+            self.condemn(f"could not be told: {error}")
 
     def _readable(self) -> None:
         try:
@@ -409,7 +411,7 @@ class Process(Exchange):
         if code is None and self.pid is not None:
             end_group(self.pid)  # who would have done so is gone
         how = told_end(code) if what != b"failed" else f"did not start: {rest.decode()}"
-        self._gone(how, code)
+        self._gone(how if what or self.pid else self._nursery.told(), code)
 
     def _look(self) -> None:
         """Kill it if it hangs, where time does not pass before it has answered."""
