@@ -7,6 +7,7 @@ import sys
 
 import pytest
 from tests.supervisors.actors import (
+    Driver,
     Idle,
     Scripted,
     State,
@@ -443,6 +444,20 @@ async def test_a_restart_without_its_resource_is_parked_until_that_is_there() ->
         await robot.resources.add(FakeSensor("sonar", 1.0))
         await asyncio.sleep(0.01)
         assert robot.behaviors.query("a").state is State.RUNNING
+
+
+@pytest.mark.promise("SUP-4", "RS-5")
+async def test_the_users_restart_waits_for_a_device_that_was_removed() -> None:
+    """It cannot begin without; when the device is there again it goes on."""
+    device, drive = wheels(), Driver()
+    async with esair.Robot(resources=[device], behaviors=[drive]) as robot:
+        await device.until(1.0, timeout=1.0)
+        await robot.resources.remove("wheels")
+        await robot.behaviors.restart("driver")
+        assert robot.behaviors.query("driver").state is State.PARKED
+        await robot.resources.add(other := wheels())
+        await other.until(1.0, timeout=1.0)
+        assert robot.behaviors.query("driver").state is State.RUNNING
 
 
 @pytest.mark.promise("SUP-4")

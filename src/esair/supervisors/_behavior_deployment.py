@@ -471,7 +471,9 @@ class BehaviorDeployment:
             self.commands.changed()
             await asyncio.wait({over})
 
-    async def begin(self, *members: Member) -> None:
+    async def begin(
+        self, *members: Member, start: Callable[[Member], None] = Member.start
+    ) -> None:
         """Start members, and wait for their setup outside of the command queue."""
         self.coming += members
         loop = asyncio.get_running_loop()
@@ -480,7 +482,7 @@ class BehaviorDeployment:
         timer = loop.call_later(SETUP_TIMEOUT, _too_late, members, waits)
         try:
             for member in members:
-                member.start()
+                start(member)
                 if member.ready is not None:
                     waits.append(member.ready)
             if waits:

@@ -344,7 +344,7 @@ class BehaviorSupervisor(abc.Supervisor):
             self._commands.changed()
             await member.run_ended(self._deployment.grace)
             try:
-                await self._deployment.begin(member)
+                await self._deployment.begin(member, start=Member.try_to_start)
             except BehaviorFailedError:
                 if member.mail.state is BehaviorState.FAILED and member.mail.error:
                     member.begin_again(member.mail.error)
