@@ -31,7 +31,7 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Journal, Kind
-from esair.loop import Owner, raisable
+from esair.loop import Order, Owner, raisable
 from esair.messages import Reading, Restart
 
 if TYPE_CHECKING:
@@ -214,7 +214,7 @@ class Silence:
     limit: float
     over: Callable[[str], None]
     registration: None = None
-    grace: float = math.inf
+    order: Order = Order.DEAD
 
     def feed(self, reading: Reading[Any]) -> None:
         if self.channel.time() - reading.time <= self.limit:
