@@ -191,7 +191,7 @@ def test_the_packets_are_those_of_the_makers_package() -> None:
     """Id, length, instruction, parameters, the inverted sum."""
     sdk = pytest.importorskip("scservo_sdk", reason="its SDK is not installed")
     port = Captured()
-    sdk.PacketHandler(0).writeTxOnly(port, 7, 42, 2, [1, 8])
+    sdk.PacketHandler(0).syncWriteTxOnly(port, 42, 2, [7, 1, 8], 3)
     assert port.written == FeetechBus(name="arm", wire=Wire()).packet(7, 42, 0x801, 2)
 
 

@@ -21,6 +21,8 @@ from esair.drivers.pca9685 import PwmChannel
 from esair.drivers.pca9685.fake import FakePca9685
 from esair.drivers.servo import Goal, Mode, Servo, ServoBus
 from esair.drivers.servo.fake import FakeServos
+from esair.drivers.servo.fake_feetech import FakeFeetechServos
+from esair.drivers.servo.feetech import FeetechBus
 from esair.testing import FakeCan, FakeI2c, FakeSerial
 from esair.watchdog import can_frame
 
@@ -101,17 +103,18 @@ async def test_a_channel_of_a_pca9685() -> None:
     await bus.close()
 
 
-async def test_a_servo_that_lets_go() -> None:
-    """The packet that takes its torque, without a wait for an answer."""
-    fakes = FakeServos([1])
-    bus = ServoBus(name="arm", wire=fakes)
-    servo = Servo(bus=bus, safe=Goal(mode=Mode.RELEASE))
-    fakes.heard(servo.safe_frames().frames[0])  # type: ignore[union-attr]
-    packet = fakes.written[-1]
-    await bus.open()
-    await servo.write(servo.safe)
-    assert fakes.written[-1] == packet
-    await bus.close()
+@pytest.mark.parametrize("make", [ServoBus, FeetechBus])
+def test_a_servo_that_lets_go(make: Any) -> None:
+    """Nobody answers: that would hit the packet of the next servo on their one wire."""
+    fakes: Any = (FakeServos if make is ServoBus else FakeFeetechServos)([1])
+    bus = make(name="arm", wire=fakes)
+    fakes.heard(bus.packet(1, bus.table.torque, 1))
+    far = fakes.servos[1] if make is ServoBus else fakes.feetech[1]
+    assert far.torque
+    frames = Servo(bus=bus, safe=Goal(mode=Mode.RELEASE)).safe_frames()
+    assert frames is not None
+    assert fakes.heard(frames.frames[0]) == b""
+    assert not far.torque
 
 
 def strictly(data: bytes) -> Iterator[bytes]:

@@ -339,9 +339,10 @@ class ServoBus(SerialBus):
         self._snapshots: dict[int, tuple[float, Snapshot]] = {}
 
     def packet(self, servo: int, address: int, value: int, size: int = 1) -> bytes:
-        """Return the packet that writes one entry and wants no answer."""
+        """Return the packet that writes one entry and wants no answer: a sync write."""
         data = (value & (1 << 8 * size) - 1).to_bytes(size, "little")
-        return self.framing.encode(bytes([servo, WRITE]) + self._at(address) + data)
+        head = bytes([ALL, SYNC_WRITE]) + self._at(address, size)
+        return self.framing.encode(head + bytes([servo]) + data)
 
     async def ping(self, servo: int) -> int:
         """Return the model number of a servo.
