@@ -187,6 +187,19 @@ async def test_a_unit_that_restarts_amid_commands_is_lost_and_not_at_fault() -> 
         assert unit.controlled == {1: b"\x0a"}
 
 
+@pytest.mark.promise("PRO-13")
+@pytest.mark.parametrize(
+    ("by", "session", "wanted"),
+    [("control", 3, 5.0), ("control", 1, None), ("write", 3, None)],
+)
+def test_only_a_control_ends_with_its_session(
+    by: Any, session: int, wanted: float | None
+) -> None:
+    """What was written stays when this computer dies, and ``check`` has to say so."""
+    part = UdsActuator(identifier=1, safe=0.0, by=by, session=session, bus=FakeCan())
+    assert part.own_timeout == wanted
+
+
 async def test_a_unit_has_one_session() -> None:
     """Two devices that want different ones would take it from each other for ever."""
     can = FakeCan()

@@ -247,13 +247,11 @@ class UdsActuator(_OnUnit, Actuator[float]):
         identifier: Its number.
         safe: The safe value.
         by: ``"control"`` takes an output from the unit, which gets it back at the close;
-            ``"write"`` writes a value that it keeps.
+            ``"write"`` writes a value that it keeps, also when this computer dies.
         session: The session that it needs; 3 is the extended one.
         limits: Least and greatest command.
         **settings: ``layout``, ``scale`` and more, as of a `UdsSensor`.
     """
-
-    own_timeout: float | None = S3
 
     def __init__(
         self,
@@ -271,6 +269,8 @@ class UdsActuator(_OnUnit, Actuator[float]):
         self.by = check_choice(self.name, "by", by, ("control", "write"))
         self.session: int = check_whole(self.name, "session", session, 1, 0x7F)
         self.limits: tuple[float, float] | None = limits
+        leaves = by == "control" and session != 1  # else nothing ends with it
+        self.own_timeout: float | None = S3 if leaves else None
         self.claim: str = f"identifier {self.identifier:#06x} of unit {self._node:#x}"
         self._present = shared(self.bus, _Present).setdefault(
             self._link, _Present(self.bus)
