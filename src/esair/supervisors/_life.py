@@ -10,7 +10,6 @@ import collections
 import errno
 import itertools
 import logging
-import math
 from collections.abc import Callable, Coroutine, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
