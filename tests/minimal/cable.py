@@ -54,8 +54,6 @@ class WDT:
 
 RUN = """
 exec <>"$0" >&0 2>&0
-trap '' XFSZ
-[ -z "$2" ] || ulimit -f "$2"
 if [ -f main.py ]; then exec "$1" -X heapsize=2m -i main.py; fi
 exec "$1" -X heapsize=2m
 """
@@ -88,7 +86,6 @@ class Cable:
         speed: Bytes per second each way; None for as fast as can be.
         damage: The chance that a bit of a byte flips.
         seed: Of that chance.
-        room: How much of a file finds room in its flash memory, in half KB.
 
     Attributes:
         folder: What the board has in its flash memory.
@@ -111,7 +108,6 @@ class Cable:
         speed: int | None = None,
         damage: float = 0.0,
         seed: int = 0,
-        room: int | None = None,
     ) -> None:
         folder.mkdir(exist_ok=True)
         self.folder = folder / "flash"
@@ -125,7 +121,6 @@ class Cable:
         self._program, self._ctrl_c = program, ctrl_c
         self.away, self.boot, self.speed, self.damage = away, boot, speed, damage
         self._chance = random.Random(seed)
-        self.room = room
         self.read = True
         self.boots = self.bites = self.passed = 0
         self.heard = bytearray()
@@ -270,7 +265,7 @@ class Cable:
         self._inner = [mine, other]
         self.boots += 1
         self._process = subprocess.Popen(
-            ["sh", "-c", RUN, os.ttyname(other), self._program, f"{self.room or ''}"],
+            ["sh", "-c", RUN, os.ttyname(other), self._program],
             cwd=self.folder,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,

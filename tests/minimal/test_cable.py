@@ -128,10 +128,8 @@ def test_a_board_without_room_runs_what_it_ran_before(tmp_path) -> None:
     old, new = (tagged(tmp_path / each, each) for each in ("old", "new"))
     with Cable(program_or_skip(), tmp_path / "board") as cable:
         deploys(cable, [old], 1)
-        cable.room = 5
-        cable.reset()
-        (new / "parts.py").write_text("tag = 'new'\n" + "# much\n" * 500)
-        with pytest.raises(ConfigError, match="OSError"):
+        (cable.folder / "main.new").symlink_to("/dev/full")  # the last file
+        with pytest.raises(ConfigError, match="there is no room on the board"):
             firmware.deploy(new, port=cable.port)
         assert runs(cable) == "old old old old"
         assert sorted(each.name for each in cable.folder.iterdir()) == [

@@ -177,7 +177,8 @@ class Prompt:
                 answer = self._answer()
                 if answer is not None:
                     if answer[:1] == "!":
-                        reason = f"{answer[1:]} on the board, by {body[:60]!r}"
+                        told = answer[1:].replace("OSError(28,)", "there is no room")
+                        reason = f"{told} on the board, by {body[:60]!r}"
                         raise ConfigError("esair min deploy", self._name, reason)
                     return answer
                 if b"NameError" in self._heard:
