@@ -155,3 +155,63 @@ def test_what_lands_on_a_device_that_was_replaced_is_not_its_successors() -> Non
     )
     world = World(Target("robot 260", maker(260)), Story(1508357323, steps, 3.322))
     assert world.run().violations == ()
+
+
+class Sonar(esair.Sensor[float]):
+    rate = 13.0
+
+    async def read(self) -> float:
+        return 0.83
+
+
+class Twice(esair.Derived[float]):
+    sonar = esair.reads(float)
+
+    def compute(self, sonar: float) -> float:
+        return 2 * sonar
+
+
+class Wheels(esair.Actuator[float]):
+    safe = 0.0
+    command_timeout = 0.3
+
+    async def write(self, command: float) -> None: ...
+
+
+class OnTwice(esair.Reaction):
+    twice = esair.reads(float)
+    wheels = esair.writes(float)
+
+    def react(self, twice: float) -> float:
+        return 0.2 * twice
+
+
+def robot() -> esair.Robot:
+    """Return one whose only reaction sees by what is computed."""
+    resources = [Sonar(), Wheels(), Twice()]
+    return esair.Robot(resources=resources, behaviors=[OnTwice()])
+
+
+@pytest.mark.promise("RS-4", "SUP-1")
+def test_a_setting_that_waits_while_the_robot_stops_is_told_of_it() -> None:
+    """It had its turn when the device was closed, and its right was still one."""
+    steps = (
+        Step(0.8, "silent", "sonar", lasts=1.0),
+        Step(1.3, "configure", "sonar"),
+        Step(1.4, "configure", "sonar"),
+        Step(1.6, "held up", much=0.5),
+        Step(1.6, "configure", "sonar"),
+    )
+    world = World(Target("robot", robot), Story(0, steps, 1.9))
+    assert world.run().violations == ()
+
+
+@pytest.mark.promise("TOR-1")
+def test_what_is_computed_is_added_when_its_sources_are_there() -> None:
+    """Both were taken away, and it comes back first: no finding, the user tries again."""
+    steps = (
+        Step(3.0, "remove", "twice", lasts=0.02),
+        Step(3.0, "remove", "sonar", lasts=0.02),
+    )
+    world = World(Target("robot", robot), Story(0, steps, 19.956))
+    assert world.run().violations == ()

@@ -217,7 +217,9 @@ class ControlPath:
                 str(Access.CONFIGURE),
                 f"it is registered to {registration.access} only: declare configure=True",
             )
-        life = self._lives[registration.resource]
+        life = self._lives.get(registration.resource)
+        if life is None:  # a right ends with its resource, but not with the robot
+            raise StoppingError("resources", SupervisorPhase.STOPPED.value)
         if life.channel.state is not ResourceState.READY:
             raise life.channel.absence()
         return life

@@ -17,7 +17,7 @@ import esair
 from esair.actions import Behavior, Guards, Reaction, Writes
 from esair.messages import is_placed
 from esair.resources import Resource, Sensor, settings_of
-from esair.torture._gate import ERRORS
+from esair.torture._gate import ERRORS, SOON
 from esair.torture._values import WRONG, CannotMakeError, make
 
 if TYPE_CHECKING:
@@ -340,8 +340,15 @@ def remove(world: World, step: Step) -> Callable[[], object]:
 
     async def add() -> None:
         await asyncio.wait({removal})  # it may take longer than this step lasts
-        if name not in supervisor.names():
-            await supervisor.add(world.spare(name))
+        if name in supervisor.names():
+            return
+        spare = world.spare(name)
+        while True:
+            try:
+                await supervisor.add(spare)
+                break
+            except esair.UnknownNameError:  # what it uses is away, too
+                await asyncio.sleep(SOON)
 
     return lambda: world.order(f"add {name}", name, add())
 
