@@ -399,7 +399,7 @@ class _Output:
         """Return a command in the type and the limits of the actuator, or raise."""
         kind = self.type
         if kind is float and command.__class__ is int:
-            command = float(command)
+            command = kind(command)
         elif not isinstance(command, kind) or (
             command.__class__ is bool and kind is int
         ):
@@ -441,12 +441,14 @@ class _Output:
             and (not holder or age > holder.hold or holder.priority <= bar)
         ):
             holder = self.writer = None
+            for guard in self.guards:  # it has moved until this moment
+                guard.shut |= guard.latch & guard.task.blind
         still = best and best.priority <= bar and best.command == self.safe
         if still:
             bar = _ENDS[0]  # what is safe passes who is blind, and holds nothing
         if over:
             holder = None
-        elif holder and best is not holder:
+        if holder and best is not holder:
             bar = max(bar, holder.priority)
         self.holder = holder
         if not best or best.priority <= bar:
@@ -507,8 +509,7 @@ class _Output:
 
     def close(self) -> None:
         """Send the safe command, unless it has taken it already."""
-        if self.bad:
-            self.tell()
+        self.bad and self.tell()  # type: ignore[func-returns-value]
 
 
 class Loop:
@@ -595,8 +596,7 @@ class Loop:
         Time is counted in periods: such a loop calls `skip` when it has missed some,
         and `close` at its end.
         """
-        if not self._run:
-            self.open()
+        self._run or self.open()  # type: ignore[func-returns-value]
         self._run()
 
     def _steps(self) -> "Generator[None]":
@@ -618,9 +618,9 @@ class Loop:
                     node.due = node.phase >= every
                     node.phase %= every
                 while dark:  # as it was since the last step, before anybody sees again
-                    node = dark.pop(0)  # reactions, then guards
-                    node.dark()
-                    for port in node.ports.values():
+                    for node in dark:
+                        node.dark()
+                    for port in dark.pop(0).ports.values():  # reactions, then guards
                         port.output.step(now, 1)
                 for node in inputs:
                     if node.due:
@@ -747,8 +747,8 @@ class Loop:
         self.last = self.steps + self.late  # the times begin anew
         self.phase = self.said = 0
         for node in self.ages:
-            node._ms = _NEVER if isinstance(node, _Input) else 0
             node._days = 0
+            node._ms = isinstance(node, _Input) and _NEVER
         for task, *_ in self.tasks:
             task.reaction.elapsed_ms = -1
             task.blind = True
@@ -845,7 +845,7 @@ def _check(value: "Any", limits: "Any" = ()) -> "Any":
             return _ROWS  # what no sensor gives
     elif value == value and value not in _ENDS:
         return value
-    raise ValueError("not finite", value)
+    raise ValueError("finite", value)
 
 
 def _less(value: "Any", command: "Any", safe: "Any") -> "Any":
@@ -854,12 +854,12 @@ def _less(value: "Any", command: "Any", safe: "Any") -> "Any":
         parts = map(_less, value, command, safe)
         kind = command.__class__
         return tuple(parts) if kind is tuple else kind(*parts)
-    if value == safe or (
-        command.__class__ is not str
-        and min(command, safe) <= value <= max(command, safe)
+    if value != safe and (
+        command.__class__ is str
+        or not min(command, safe) <= value <= max(command, safe)
     ):
-        return value
-    return command
+        return command
+    return value
 
 
 def _ms(value: float) -> int:

@@ -977,6 +977,26 @@ def rule_guards_that_lose_sight_together_latch_each():
     assert loop.reset("latches")
 
 
+def rule_a_reaction_that_is_blind_keeps_no_latch_open():
+    """It stops what moves at the moment at which the guard sees no more; as in STD."""
+
+    class Latches(Bumper):
+        motor = guards(float, latch=True)
+
+    class Bars(Reaction):
+        eye = reads(float, max_age=0.05)
+        motor = writes(float, priority=5)
+
+        def react(self, eye):
+            pass
+
+    values = [0] + [OSError(5)] * 6 + [0]
+    reactions = [Latches("latches"), Bars(), Go()]
+    loop, motor = blind_world(values, reactions, 9)
+    assert motor.told == [0.0, 1, 1, 1, 0.0], motor.told
+    assert loop.reset("latches")
+
+
 def rule_a_guard_that_refuses_keeps_no_latch_open():
     class Latches(Bumper):
         motor = guards(float, latch=True)

@@ -261,8 +261,11 @@ static void es_settle(es_output *o, uint32_t late)
             best = port;
     }
     if (bar > ES_NEVER && o->writer != NULL && !o->rests
-        && (holder == NULL || age > holder->hold || holder->priority <= bar))
+        && (holder == NULL || age > holder->hold || holder->priority <= bar)) {
         holder = o->writer = NULL;
+        es_guard *g = o->guards, *end = g + o->n_guards;
+        for (; g < end; g++) g->latched |= g->latch && g->task->blind; /* it moved till now */
+    }
     bool still = best != NULL && best->priority <= bar && o->still(best->command);
     if (still) bar = ES_NEVER; /* what is safe passes who is blind, and holds nothing */
     if (over) holder = NULL;
@@ -353,7 +356,6 @@ static void es_advance(void) /* by one period */
 /* What was going to be blind before this step has been safe since the last one. */
 static void es_end_sight(es_task *task)
 {
-    es_lose_sight(task);
     for (int i = 0; i < ES_PORTS; i++)
         if (es_ports[i].task == task) es_settle(es_ports[i].output, 1);
     for (int i = 0; i < ES_GUARDS; i++)
@@ -408,6 +410,8 @@ void robot_step(void)
 {
     for (es_input *s = es_inputs; s < es_inputs + ES_INPUTS; s++) es_begin(&s->turn);
     for (es_task *t = es_tasks; t < es_tasks + ES_TASKS; t++) es_begin(&t->turn);
+    for (es_task *t = es_tasks; t < es_tasks + ES_TASKS; t++)
+        if (t->dark > 0) es_lose_sight(t);
     for (es_task *t = es_tasks; t < es_tasks + ES_TASKS; t++)
         for (; t->dark > 0; t->dark--) es_end_sight(t);
     for (es_input *s = es_inputs; s < es_inputs + ES_INPUTS; s++)
