@@ -16,6 +16,7 @@ import abc
 import copy
 from typing import Any, Self
 
+from esair.exceptions import ConfigError
 from esair.messages import Place, SupervisorPhase
 from esair.values import check_name, snake_case
 
@@ -38,9 +39,12 @@ class Component:
         above = super().__new__
         plain = above is object.__new__
         made = above(cls) if plain else above(cls, *args, **options)
-        if args or options:
-            kept = {each: _copied(value) for each, value in options.items()}
+        kept = {each: _copied(value) for each, value in options.items()}
+        try:
             made._made_of = (*map(_copied, args),), kept  # noqa: SLF001 - its own class
+        except AttributeError as error:
+            told = "a component has a life, so its class cannot be frozen"
+            raise ConfigError(snake_case(cls.__name__), "", told) from error
         return made
 
     def __init__(self, *, name: str | None = None) -> None:

@@ -475,3 +475,20 @@ async def test_a_type_may_be_named_before_it_is_defined() -> None:
     """A type in quotes is the class of that name in its module."""
     async with esair.Robot(resources=[Lamp(), Pump()], behaviors=[Stop()]) as robot:
         assert robot.resources.query("lamp").state is ResourceState.READY
+
+
+@dataclass(frozen=True)
+class Frozen(esair.Sensor[float]):
+    """A device that could keep nothing."""
+
+
+@attrs.frozen
+class FrozenToo(esair.Behavior):
+    """A behavior that could keep nothing."""
+
+
+@pytest.mark.parametrize("cls", [Frozen, FrozenToo])
+def test_a_component_cannot_be_frozen(cls: type) -> None:
+    """It is told when it is made, by the name of its class."""
+    with pytest.raises(esair.ConfigError, match="frozen"):
+        cls()
