@@ -108,7 +108,7 @@ class PeerBus(Bus):
         """How long a beat and its echo have taken last, in seconds."""
         self.told_at: dict[str, float] = {}
         """Of each sensor when a reading was said last."""
-        self._pace = Pace()
+        self._pace = Pace(_KEPT)
         self._later: dict[str, tuple[float, Any]] = {}
         """Of each sensor what is said when the way is free: when that was measured, and what."""
         self._undeclared: list[Any] = []
@@ -295,7 +295,7 @@ class PeerBus(Bus):
         if since > NEVER:
             self.round_trip = max(0.0, now - since - head.held)
             self.heard_at = max(self.heard_at, since)
-            self._pace.echoed(now, since, self.round_trip)
+            self._pace.echoed(self._beats - head.echo, self.round_trip)
             self._tell_later()
         if what == "bye":
             self._end_run(head.run)
@@ -436,14 +436,17 @@ class PeerBus(Bus):
 
     # What is said.
 
-    def say(self, what: str, *parts: Any) -> bool:
-        """Send a message; it is lost if the peer is not there. Tells if it was sent.
+    def say(self, what: str, *parts: Any) -> int:
+        """Send a message; it is lost if the peer is not there.
+
+        Returns:
+            How many bytes were sent.
 
         Raises:
             BadValueError: It is no plain data: which part of it, and why.
         """
         if self._send is None:
-            return False
+            return 0
         now = asyncio.get_running_loop().time()
         held = max(0.0, now - self._beat_at) if self._its_run else 0.0
         head = Head(self._run, self._beats, self._its_run, max(0, self._its_beat), held)
@@ -455,7 +458,7 @@ class PeerBus(Bus):
             self._later.pop(parts[0], None)
         self.stats.sent += 1
         self._send(what, data)
-        return True
+        return len(data)
 
     def tell(self, sensor: str, at: float, value: Any) -> None:
         """Say a reading that was measured at a moment of the clock of the loop.
@@ -468,9 +471,9 @@ class PeerBus(Bus):
         else:
             self._later.pop(sensor, None)
             now = self.told_at[sensor] = asyncio.get_running_loop().time()
-            self._pace.told(now)
             try:
-                self.say("reading", sensor, max(0.0, float(now - at)), value)
+                age = max(0.0, float(now - at))
+                self._pace.told(self.say("reading", sensor, age, value))
             except BadValueError as error:
                 self.say("gone", sensor, describe(error))
 
