@@ -45,11 +45,12 @@ class Ports:
     wheel: str
     priority: int = 0
     blind: str | None = None
+    sets: bool = False
 
     @property
     def needs(self) -> dict[str, Any]:
         """What its class declares, for this one."""
-        eye = esair.reads(float, name=self.eye, max_age=0.43)
+        eye = esair.reads(float, name=self.eye, max_age=0.43, configure=self.sets)
         terms: Any = {"priority": self.priority, "blind": self.blind}
         wheel = esair.writes(float, name=self.wheel, **terms)
         return {"reads": {"eye": eye}, "writes": {"wheel": wheel}}
@@ -194,6 +195,13 @@ class StepReaction(esair.Reaction):
         return eye
 
 
+ACTS = (
+    *("drives", "drives", "drives", "writes", "writes", "reads", "reads_anew"),
+    *("looks", "releases", "asks", "asks", "puts", "receives", "gets", "offers"),
+    *("performs", "reacts", "waits", "fails"),
+)
+
+
 class Roams(esair.Behavior):
     """Does one thing after the other, as its dice say; tells what came of it."""
 
@@ -203,6 +211,7 @@ class Roams(esair.Behavior):
     eye = esair.reads(float)
     wheel = esair.writes(float)
     jobs = esair.takes(Job, queue=2)
+    acts: tuple[str, ...] = ACTS
 
     def __init__(self, name: str, ports: Ports, seed: int, friend: str) -> None:
         super().__init__(name=name, **ports.needs)
@@ -217,7 +226,7 @@ class Roams(esair.Behavior):
             if self.seed % 5 == 0:
                 group.create_task(self.look())
             while True:
-                act = self.dice.choice(ACTS)
+                act = self.dice.choice(self.acts)
                 try:
                     told = await getattr(self, act)()
                 except EXPECTED as error:
@@ -326,13 +335,6 @@ class Roams(esair.Behavior):
     async def fails(self) -> Any:
         if self.dice.random() < 0.3:
             raise WorldError("act")
-
-
-ACTS = [
-    *("drives", "drives", "drives", "writes", "writes", "reads", "reads_anew"),
-    *("looks", "releases", "asks", "asks", "puts", "receives", "gets", "offers"),
-    *("performs", "reacts", "waits", "fails"),
-]
 
 
 class PlainRoams(esair.ThreadBehavior):

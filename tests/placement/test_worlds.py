@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from tests.placement.worlds import World, first_difference, lived
+from tests.placement.worlds import WideWorld, World, first_difference, lived
 
 from esair.placement._nursery import Nursery
 
@@ -23,6 +23,11 @@ reading, or one asks who is being removed; two acts of the user end at once; a t
 a microsecond of a reading."""
 
 
+WIDE_TIES: set[int] = set()
+
+KINDS = pytest.mark.parametrize("kind", [World, WideWorld])
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _nursery() -> Iterator[None]:
     """Have one process that makes the children of all worlds."""
@@ -31,22 +36,24 @@ def _nursery() -> Iterator[None]:
     nursery.let_go()
 
 
-def differing(seeds: range) -> dict[int, str]:
+def differing(kind: type[World], seeds: range) -> dict[int, str]:
     """Let each world live twice, but for ties; return where those differ that do."""
     found = {}
-    for seed in sorted({*seeds} - TIES):
-        one, other = (lived(seed, placed=each) for each in (False, True))
+    for seed in sorted({*seeds} - (TIES if kind is World else WIDE_TIES)):
+        one, other = (lived(kind(seed, placed=each)) for each in (False, True))
         assert len(one) > 10
         if told := first_difference(one, other):
-            found[seed] = f"{told}; in processes: {World(seed, placed=True).places}"
+            found[seed] = f"{told}; in processes: {kind(seed, placed=True).places}"
     return found
 
 
-def test_some_worlds_are_equal() -> None:
+@KINDS
+def test_some_worlds_are_equal(kind: type[World]) -> None:
     """Commands, outcomes and moments, whoever of them has a process."""
-    assert differing(range(EACH_TIME)) == {}
+    assert differing(kind, range(EACH_TIME)) == {}
 
 
+@KINDS
 @pytest.mark.parametrize(
     "begin",
     [
@@ -60,6 +67,6 @@ def test_some_worlds_are_equal() -> None:
         ),
     ],
 )
-def test_many_worlds_are_equal(begin: int) -> None:
+def test_many_worlds_are_equal(kind: type[World], begin: int) -> None:
     """As above; a thousand in the soak."""
-    assert differing(range(begin, begin + AT_ONCE)) == {}
+    assert differing(kind, range(begin, begin + AT_ONCE)) == {}

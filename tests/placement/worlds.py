@@ -26,6 +26,15 @@ from tests.placement.roamers import (
     Wheel,
     said,
 )
+from tests.placement.wanderers import (
+    Bursts,
+    Errand,
+    LatchGuard,
+    Operated,
+    PlainOperated,
+    Slows,
+    Wanders,
+)
 
 import esair
 from esair.testing import VirtualLoop
@@ -233,10 +242,72 @@ class World:
         return mode
 
 
-def lived(seed: int, *, placed: bool) -> list[Effect]:
-    """Return all that was seen of the robot of a number, in order of time."""
+class WideWorld(World):
+    """A robot that does more of what a robot may do, half of it at once."""
+
+    def _eye(self, name: str) -> Callable[[], Any]:
+        dice = self.dice
+        kind: Any = dice.choice([Operated, Operated, PlainOperated, Bursts])
+        begin = dice.randint(5, 40)
+        fails = (begin, begin + 3) if dice.random() < 0.3 else (0, 0)
+        pace = dice.uniform(11.0, 31.0)
+        terms = {"pause": 1.0 / pace} if kind is Bursts else {"rate": pace}
+        return lambda: kind(fails, name=name, **terms)
+
+    def _reaction(self, name: str) -> Callable[[], Any]:
+        dice = self.dice
+        ports = self._ports(blind=dice.choice(["safe", "release"]))
+        rate = dice.uniform(9.0, 23.0)
+
+        def make() -> Any:
+            made = Slows(name, ports)
+            made.rate = rate
+            return made
+
+        return make
+
+    def _behavior(self, name: str, friend: str) -> Callable[[], Any]:
+        ports, seed = self._ports(sets=True), self.dice.randrange(1000)
+        return lambda: Wanders(name, ports, seed, friend)
+
+    def _guard(self) -> Callable[[], Any]:
+        eye, wheel = self.dice.choice(self.eyes), self.dice.choice(self.wheels)
+        reads = {"eye": esair.reads(float, name=eye, max_age=0.5)}
+        guards = {"wheel": esair.guards(float, name=wheel, latch=True)}
+        return lambda: LatchGuard(name="guard", reads=reads, guards=guards)
+
+    def _acts(self, has_modes: bool) -> list[str]:
+        return [*super()._acts(has_modes), "withdraw", "errand"]
+
+    async def _withdraw(self, robot: esair.Robot, dice: random.Random) -> Any:
+        """Ask, and cancel that."""
+        news: list[Any] = []
+        asked = robot.behaviors.ask(
+            Job(dice.uniform(0.01, 0.2)),
+            sender="user",
+            receiver=dice.choice(self.roams),
+            timeout=0.5,
+            progress=news.append,
+        )
+        task = asyncio.ensure_future(asked)
+        await asyncio.sleep(dice.choice([0.0, dice.uniform(0.0, 0.1)]))
+        task.cancel()
+        try:
+            return await task, news
+        except asyncio.CancelledError:
+            return "given up", news
+
+    async def _errand(self, robot: esair.Robot, dice: random.Random) -> Any:
+        errand = Errand(dice.uniform(0.01, 0.2))
+        name = dice.choice(self.roams)
+        return await robot.behaviors.ask(
+            errand, sender="user", receiver=name, timeout=0.3
+        )
+
+
+def lived(world: World) -> list[Effect]:
+    """Return all that was seen of a robot, in order of time."""
     loop = VirtualLoop()
-    world = World(seed, placed=placed)
     with asyncio.Runner(loop_factory=lambda: loop) as runner, virtual_sleep(loop):
         effects = runner.run(world.live())
     return [(round(when, 6), where, what) for when, where, what in effects]
