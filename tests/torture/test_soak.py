@@ -215,3 +215,14 @@ def test_what_is_computed_is_added_when_its_sources_are_there() -> None:
     )
     world = World(Target("robot", robot), Story(0, steps, 19.956))
     assert world.run().violations == ()
+
+
+@pytest.mark.promise("TOR-1")
+def test_a_crash_of_what_waits_for_a_restart_is_none_of_later() -> None:
+    """It has no code that could raise; else it would crash once more when that comes."""
+    steps = tuple(
+        Step(at, "crash", "on_twice", how="OSError") for at in (3.0, 3.2, 3.236)
+    )
+    world = World(Target("robot", robot), Story(0, steps, 18.736))
+    assert world.run().violations == ()
+    assert world.done["crash"] == 2

@@ -15,7 +15,7 @@ import attrs
 
 import esair
 from esair.actions import Behavior, Guards, Reaction, Writes
-from esair.messages import is_placed
+from esair.messages import BehaviorState, is_placed
 from esair.resources import Resource, Sensor, settings_of
 from esair.torture._gate import ERRORS, SOON
 from esair.torture._values import WRONG, CannotMakeError, make
@@ -193,7 +193,9 @@ _faulty("flooding", "pushing", lasts=SHORT, much=(20.0, 200.0), weight=0.5)
 
 @_kind("behavior", "actions", hows=tuple(ERRORS), weight=2.0)
 def crash(world: World, step: Step) -> None:
-    """Its code raises."""
+    """Its code raises, unless that waits for a restart."""
+    if world.robot.behaviors.query(step.target).state is BehaviorState.RESTARTING:
+        raise NotNowError
     world.lever(step.target).crash(step.how)
 
 
