@@ -235,6 +235,19 @@ async def test_nobody_waits_for_the_end_of_what_makes_children() -> None:
     assert any(were_there)
 
 
+@pytest.mark.promise("PLC-4")
+async def test_what_makes_children_ends_in_silence_while_it_starts(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """Its robot may be over, or dead, before it is ready: that is no error of its own."""
+    for delay in (0.0, 0.05, 0.1, 0.2):
+        nursery = Nursery.hold()
+        await asyncio.sleep(delay)
+        nursery.let_go()
+        await until(lambda: children_of(os.getpid()) == [])
+    assert capfd.readouterr().err == ""
+
+
 @pytest.mark.promise("PLC-4", "ROB-5")
 async def test_robots_that_begin_at_once_all_begin() -> None:
     """They wait for one process that makes children, each in a thread of its own."""

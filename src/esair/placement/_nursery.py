@@ -180,9 +180,6 @@ def _die_with_parent(parent: int) -> None:
 def main() -> None:
     """Serve until the process that has started this one is gone."""
     parent = int(sys.argv[1])
-    parent_fd = os.pidfd_open(parent)
-    if os.getppid() != parent:  # it has died already
-        return
     # One that was stopped goes on when its robot dies: it has children to end.
     _libc.prctl(_PDEATHSIG, signal.SIGCONT)
     for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -192,14 +189,22 @@ def main() -> None:
         signal.siginterrupt(each, False)
     # Each child has it from the start: what it is made of, and what its module asks for.
     # What the robot's process has loaded too, the module of a component is likely to want.
-    for module in ("esair.placement._child", *sys.argv[2:]):
+    gone = select.poll()
+    gone.register(0, 0)  # the end of the other side alone
+    for module in (*sys.argv[2:], "esair.placement._child"):
+        if gone.poll(0):  # nobody wants it any more
+            return
         if not module.endswith("__main__"):
             with contextlib.suppress(ImportError):
                 importlib.import_module(module)
     gc.collect()
     gc.freeze()  # what is there is never written to: it is one for all
     control = socket.socket(fileno=0)
-    control.send(b"r")  # read by nobody: it can be looked at for ever
+    try:
+        parent_fd = os.pidfd_open(parent)
+        control.send(b"r")  # read by nobody: it can be looked at for ever
+    except OSError:  # as above
+        return
     Server(control, parent_fd).serve()
 
 
@@ -262,7 +267,8 @@ class Server:
         try:
             pid = os.fork()
         except OSError as error:
-            os.write(status, f"failed {error}".encode())
+            with contextlib.suppress(OSError):
+                os.write(status, f"failed {error}".encode())
             for fd in files:
                 os.close(fd)
             return
