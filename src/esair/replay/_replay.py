@@ -72,9 +72,8 @@ class Replay:
         self.path = path
         facts = facts_of(path)
         if "replay" not in facts:
-            raise RecordingBrokenError(
-                str(path), "it was made by an earlier esair, which kept no turns"
-            )
+            told = "it has no turns: it is cut before the first, or of an earlier esair"
+            raise RecordingBrokenError(str(path), told)
         self.facts = facts
         self.about: dict[str, str] = facts["replay"]
         if self.about.get("format") != FORMAT:
