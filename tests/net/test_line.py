@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import threading
 import time
 from collections.abc import Iterator
 from typing import Any, cast
@@ -10,7 +11,7 @@ from typing import Any, cast
 import pytest
 from tests.net.parts import free_port
 
-from esair.buses.peer import _line
+from esair.buses.peer import Network, _line
 from esair.buses.peer._line import PAUSE, Line, pause
 
 pytestmark = pytest.mark.promise("NET-3")
@@ -220,6 +221,24 @@ def test_where_no_way_leads_nobody_is_in_haste() -> None:
     assert steps < 20
     assert len(line.knocks) <= 1
     line.end()
+
+
+def test_who_keeps_the_lines_ends_with_them_at_any_moment() -> None:
+    """Also where they end while it begins to look at them: its end is waited for."""
+    network = Network(me="base", connect=["tcp/127.0.0.1:7447"])
+    network._lines = (network._line(network.connect[0]),)
+
+    class Wake(threading.Event):
+        def clear(self) -> None:
+            network._lines = ()
+            self.set()
+            super().clear()
+
+    network._wake = Wake()
+    keeper = threading.Thread(target=network._keep, daemon=True)
+    keeper.start()
+    keeper.join(1.0)
+    assert not keeper.is_alive()
 
 
 def _made(_line: Line) -> Any:

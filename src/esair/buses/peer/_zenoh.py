@@ -376,8 +376,10 @@ class Network:
 
     def _keep(self) -> None:
         """Look after the lines, on a thread of its own, until there are none."""
-        while lines := self._lines:
-            self._wake.clear()
+        while True:
+            self._wake.clear()  # before it is looked: what changes later wakes it
+            if not (lines := self._lines):
+                return
             goes_on = False
             for line in lines:
                 try:
