@@ -113,6 +113,44 @@ async def test_letting_go_is_no_command() -> None:
         assert set(pair.wheels.commands[count:]) == {Twist(0.9, 0.0)}
 
 
+@pytest.mark.promise("NET-4", "NET-6")
+@pytest.mark.parametrize("between", [0, 300])
+async def test_a_command_does_not_come_again_behind_a_newer_one(between: int) -> None:
+    """A slow way may bring a copy of it, however much else has come with the beat."""
+    pair = Pair()
+    async with pair.both():
+        bus = pair.to_rover
+        head = Head(bus._its_run, bus._its_beat + 1, bus._run, bus._beats, 0.0)
+
+        def come(what: str, *parts: Any) -> None:
+            data = packed(head, parts, bus.kinds)
+            pair.network.inject("rover", "base", what, data)
+
+        come("write", 1, "wheels", Twist(0.5, 0.0))
+        await asyncio.sleep(0.005)
+        come("write", 2, "wheels", Twist(0.1, 0.0))
+        for number in range(between):
+            come("cancel", 1000 + number)
+        await asyncio.sleep(0.005)
+        come("write", 1, "wheels", Twist(0.5, 0.0))
+        await asyncio.sleep(0.005)
+        moved = [each for each in pair.wheels.commands if each != STILL]
+        assert moved == [Twist(0.5, 0.0), Twist(0.1, 0.0)]
+
+
+@pytest.mark.promise("NET-6")
+async def test_of_messages_with_one_beat_so_many_are_taken() -> None:
+    """Who stands still with its beats and floods fills no memory."""
+    pair = Pair()
+    async with pair.both():
+        bus = pair.to_rover
+        head = Head(bus._its_run, bus._its_beat + 1, bus._run, bus._beats, 0.0)
+        for number in range(20_000):
+            bus.came("cancel", packed(head, (number,), bus.kinds))
+        assert bus.stats.dropped >= 20_000 - (1 << 14)
+        assert len(bus._taken) == 1 << 14
+
+
 @pytest.mark.promise("NET-6")
 @pytest.mark.parametrize(
     "messages", [400, pytest.param(10_000, marks=pytest.mark.long)]

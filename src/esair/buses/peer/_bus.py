@@ -53,6 +53,7 @@ FIRST = 0.4
 _FOLLOW_AGAIN = 20  # beats after which the peer is told again what is wanted
 _OVER = 8  # runs that are over of which it is known
 _KEPT = 128  # beats of which it is known when they were sent
+_IN_BEAT = 1 << 14  # messages of one beat: each is known if it comes twice
 _PENDING = 64  # requests that wait for their answers
 _READINGS = 16  # readings of a sensor that wait to be taken
 
@@ -125,7 +126,7 @@ class PeerBus(Bus):
         self.heard_at: float = NEVER
         """When the newest beat was sent that it has echoed, by the clock of the loop."""
         self._beat_at = NEVER
-        self._taken: collections.deque[int] = collections.deque(maxlen=_KEPT)
+        self._taken: set[int] = set()  # of what came with its newest beat
         self._gap, self._gap_at = 0.0, 0  # the last one, and the own beat at its end
         self._alive = asyncio.Event()
         self._beating: asyncio.Task[None] | None = None
@@ -290,7 +291,10 @@ class PeerBus(Bus):
             # A number came there that was never sent: what this run says stays unheard.
             self.stats.bad_frames += 1
             self._run = secrets.randbits(63)
-        self._taken.append(it)
+        if len(self._taken) >= _IN_BEAT:
+            self.stats.dropped += 1
+            return False
+        self._taken.add(it)
         since = self._since(head)
         if since > NEVER:
             self.round_trip = max(0.0, now - since - head.held)
