@@ -14,7 +14,7 @@ from tests.net.test_parts import Asks
 
 import esair
 from esair.buses.peer import FakeNetwork, PeerBus
-from esair.drivers.peer import Peer
+from esair.drivers.peer import Peer, PeerActuator
 from esair.peers import Share, Sharing, peer_behavior
 
 pytestmark = pytest.mark.virtual_clock
@@ -115,3 +115,24 @@ async def test_an_answer_that_is_lost_two_robots_away_is_not_known() -> None:
         three.network.cut("c")
         with pytest.raises(esair.OutcomeUnknownError):
             await asking
+
+
+@pytest.mark.promise("NET-3")
+async def test_why_an_actuator_is_gone_does_not_grow_in_a_circle() -> None:
+    """Two robots whose actuators are each other's are lost for good, and no more."""
+    network = FakeNetwork()
+    robots = []
+    for me, other in ("ab", "ba"):
+        bus = PeerBus(name=other, network=network.of(me))
+        wheels = PeerActuator(name="wheels", bus=bus)
+        share = Share("wheels", "write")
+        peer, sharing = Peer(name=other, bus=bus), Sharing(bus=bus, shares=[share])
+        robots.append(
+            esair.Robot(name=me, resources=[peer, wheels], behaviors=[sharing])
+        )
+    async with robots[0], robots[1]:
+        await asyncio.sleep(200.0)
+        for robot in robots:
+            error = robot.resources.query("wheels").error
+            assert "says: " in str(error)
+            assert len(str(error)) < 600

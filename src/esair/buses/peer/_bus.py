@@ -54,6 +54,9 @@ _FOLLOW_AGAIN = 20  # beats after which the peer is told again what is wanted
 _OVER = 8  # runs that are over of which it is known
 _KEPT = 128  # beats of which it is known when they were sent
 _IN_BEAT = 1 << 14  # messages of one beat: each is known if it comes twice
+_WORDS = (
+    400  # letters of why something is gone: it may be told in a circle, ever longer
+)
 _PENDING = 64  # requests that wait for their answers
 _READINGS = 16  # readings of a sensor that wait to be taken
 
@@ -413,6 +416,7 @@ class PeerBus(Bus):
                 request.progress(parts[1])
         else:
             if what == "gone":
+                parts = parts[0], parts[1][:_WORDS]
                 for listener in tuple(self.when_gone):
                     listener(*parts)
             wanted = [
