@@ -398,6 +398,29 @@ async def test_who_has_not_the_certificate_is_not_heard(
         await refused(certificates, who)
 
 
+class Thief(Network):
+    """Opens the network, whatever the time is."""
+
+    def _check_days(self, tls: Tls, owner: str) -> None:
+        pass
+
+
+@pytest.mark.promise("NET-3")
+async def test_a_certificate_of_other_days_is_named(certificates: Path) -> None:
+    """Or a clock that is wrong: it is tried again, until one of them is right."""
+    mine = tls(certificates, "rover")
+    end = f"tls/127.0.0.1:{free_port()}"
+    network = Network(me="rover", peers=["base"], listen=end, tls=mine)
+    network.tls = tls(certificates, "expired")
+    bus = PeerBus(name="base", network=network)
+    with pytest.raises(esair.DeviceLostError, match="GMT; by this clock it is"):
+        await bus.open()
+    network.tls = mine
+    with pytest.raises(esair.DeviceLostError, match="no beat of it was heard"):
+        await bus.open()
+    await bus.close()
+
+
 async def refused(certificates: Path, who: str) -> None:
     """Let somebody try to get in, with all that the robot has for it."""
     end = f"tls/127.0.0.1:{free_port()}"
@@ -405,7 +428,7 @@ async def refused(certificates: Path, who: str) -> None:
     base = Network(me="base", peers=["rover"], listen=[end], tls=mine)
     file = "rover" if who == "nobody" else who
     mine = tls(certificates, "rover")
-    rover = Network(me="rover", peers=["base"], connect=[end], tls=mine)
+    rover: Network = Thief(me="rover", peers=["base"], connect=[end], tls=mine)
     rover.tls = tls(certificates, file)
     if who == "nobody":
         rover = Network(me="rover", peers=["base"], connect=[end.replace("tls", "tcp")])

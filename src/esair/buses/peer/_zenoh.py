@@ -198,6 +198,13 @@ class _Peer:
             self.by = line.best = way
 
 
+def _decoded(certificate: Path) -> dict[str, Any]:
+    import ssl
+
+    decode: Any = getattr(ssl, "_ssl")._test_decode_cert  # noqa: B009, SLF001
+    return decode(certificate)  # type: ignore[no-any-return]
+
+
 def _paths(endpoints: str | Iterable[str]) -> tuple[str, ...]:
     return tuple(map(str, [endpoints] if isinstance(endpoints, str) else endpoints))
 
@@ -262,12 +269,11 @@ class Network:
                 told = f"there is no file {str(file)!r}"
                 raise ConfigError("network", f"tls.{field}", told)
         context, field = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), "ca"
-        decode: Any = getattr(ssl, "_ssl")._test_decode_cert  # noqa: B009, SLF001
         try:
             context.load_verify_locations(tls.ca)
             field = "certificate"
             subject = [
-                pair for part in decode(tls.certificate)["subject"] for pair in part
+                pair for part in _decoded(tls.certificate)["subject"] for pair in part
             ]
             field = "key"
             context.load_cert_chain(tls.certificate, tls.key, password="")
@@ -280,6 +286,18 @@ class Network:
             )
             told = f"expected that of {self.me!r}, not of {names or 'nobody'}"
             raise ConfigError("network", "tls.certificate", told)
+
+    def _check_days(self, tls: Tls, owner: str) -> None:
+        """Say why nobody would be heard; a clock may be set right at any time."""
+        import ssl
+
+        days = _decoded(tls.certificate)
+        first, last = days["notBefore"], days["notAfter"]
+        at, seconds = time.time(), ssl.cert_time_to_seconds
+        if not seconds(first) <= at <= seconds(last):
+            now = time.strftime("%b %d %H:%M:%S %Y GMT", time.gmtime(at))
+            told = f"the certificate of this robot is of {first} to {last}"
+            raise DeviceLostError(owner, f"{told}; by this clock it is {now}")
 
     def _wrong(self, endpoint: str) -> str | None:
         found = _ENDPOINT.fullmatch(endpoint)
@@ -401,9 +419,13 @@ class Network:
         )
 
     async def _open(self, bus: PeerBus) -> None:
+        def made() -> _Session:
+            if self.tls is not None:
+                self._check_days(self.tls, bus.name)
+            return _Session(self, None, listen=self.listen)
+
         try:
             os.environ.setdefault("ZENOH_RUNTIME", f"({_THREADS})")  # it is read once
-            made = partial(_Session, self, None, listen=self.listen)
             self._session = await open_on(
                 bus.executor, made, _Session.close, timeout=_OPENING
             )
