@@ -13,9 +13,11 @@ import pytest
 from tests.ros.parts import STILL, TWIST, Citizen, Count, Done, Light, Motion, twist
 
 import esair
-from esair.buses.ros import Link, form_of
-from esair.peers import Share, Sharing
-from esair.testing import FakeSensor
+from esair.buses.peer import PeerBus
+from esair.buses.ros import FakeRos, Link, Ros, form_of
+from esair.drivers.peer import Peer, PeerSensor
+from esair.peers import Drive, Share, Sharing
+from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
 
@@ -108,6 +110,36 @@ async def test_a_topic_that_is_no_number_for_a_while_drives_again(
         await publish(citizen, 2.2)
         assert citizen.wheels.commands[-1] == Motion(0.3, 0.0)
         assert robot.resources.query("cmd_vel").state is esair.ResourceState.READY
+
+
+@pytest.mark.promise("ROS-2", "SC-3")
+@pytest.mark.parametrize(
+    ("kind", "field"),
+    [
+        ("std_msgs/msg/Float64MultiArray", "data"),
+        ("sensor_msgs/msg/JointState", "position"),
+    ],
+)
+async def test_no_number_in_a_row_moves_nothing(kind: str, field: str) -> None:
+    """A joint for which nothing is said does not go to zero: the arm is safe."""
+    fake, still, there = FakeRos(), (0.5, 0.5), (0.7, 0.6)
+    arm = FakeActuator("arm", safe=still, command_timeout=0.2)
+    link = Link("/arm", kind, "topic", "in", "wanted", form_of(kind, tuple, field))
+    bus = PeerBus(name="ros", network=Ros([link], me="rover", begin=fake))
+    wanted = PeerSensor(name="wanted", remote="/arm", bus=bus, type=tuple)
+    robot = esair.Robot(
+        name="rover",
+        resources=[arm, Peer(name="ros", bus=bus), wanted],
+        behaviors=[Drive(topic="/arm", sensor="wanted", actuator="arm")],
+    )
+    async with robot:
+        await asyncio.sleep(0.5)
+        for first in (0.7, math.nan, 0.7):
+            for _ in range(130):
+                fake.publish("/arm", {field: [first, 0.6]})
+                await asyncio.sleep(0.02)
+            assert arm.commands[-1] == (there if first == 0.7 else still)
+    assert set(arm.commands) == {still, there}
 
 
 @pytest.mark.promise("ROS-2")

@@ -12,7 +12,7 @@ import pytest
 from tests.ros.parts import twist
 
 import esair
-from esair.buses.ros import READY, FakeRos, Odometry, Scan, form_of
+from esair.buses.ros import READY, FakeRos, Joints, Odometry, Scan, form_of
 from esair.cli._ros import lines_of
 from esair.config import check, load
 
@@ -250,6 +250,7 @@ def test_a_ready_value_comes_back_equal(ros: str) -> None:
         "Twist": kind(1.0, 2.0) if kind.__name__ == "Twist" else None,
         "Scan": Scan(-1.0, 0.1, (1.0, float("inf")), "laser"),
         "Odometry": Odometry(1.0, 2.0, -0.5, 0.1, 0.2, "odom", "base"),
+        "Joints": Joints(("a",), (0.1,), (0.2,), (0.3,)),
     }.get(kind.__name__)
     if value is None:
         filled = {
@@ -275,6 +276,10 @@ def test_what_was_not_measured_is_zero() -> None:
     }
     value = form_of("sensor_msgs/msg/LaserScan").value(message)
     assert value.ranges == (0.0, float("inf"), 1.0)
+    nothing = [float("nan")]
+    message = {"name": ["a"], "position": [1.0], "velocity": nothing, "effort": nothing}
+    value = form_of("sensor_msgs/msg/JointState").value(message)
+    assert value == Joints(("a",), (1.0,), (0.0,), (0.0,))
 
 
 def test_what_is_found_becomes_lines_of_a_file(file: Path) -> None:

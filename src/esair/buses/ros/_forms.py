@@ -1,7 +1,8 @@
 """Messages of ROS as values of this robot, and back: by a path for each field.
 
 A path is ``twist.twist.linear.x``. ``:yaw`` makes an angle of a quaternion, ``:xyz`` and
-``:xyzw`` a tuple of what has such parts. Units are those of ROS: metres, radians, seconds.
+``:xyzw`` a tuple of what has such parts, ``:measured`` a row with 0.0 for what is no number.
+Units are those of ROS: metres, radians, seconds.
 """
 
 from __future__ import annotations
@@ -53,7 +54,10 @@ class Odometry:
 
 @attrs.frozen
 class Joints:
-    """``sensor_msgs/msg/JointState``: rad or m, rad/s or m/s, N m or N, by name."""
+    """``sensor_msgs/msg/JointState``: rad or m, rad/s or m/s, N m or N, by name.
+
+    A velocity or effort of 0.0 may be one that was not measured.
+    """
 
     names: tuple[str, ...]
     positions: tuple[float, ...]
@@ -101,12 +105,13 @@ def _paths(text: str) -> dict[str, str]:
 
 _TWIST: Final = "linear={0}linear.x lateral={0}linear.y angular={0}angular.z"
 _STAMPED: Final = _TWIST.format("twist.") + " frame=header.frame_id"
-_SCAN: Final = "first=angle_min step=angle_increment ranges frame=header.frame_id"
+_SCAN: Final = """first=angle_min step=angle_increment ranges=ranges:measured
+    frame=header.frame_id"""
 _ODOMETRY: Final = f"""{_TWIST.format("twist.twist.")}
     x=pose.pose.position.x y=pose.pose.position.y heading=pose.pose.orientation:yaw
     child=child_frame_id frame=header.frame_id"""
-_JOINTS: Final = """names=name positions=position velocities=velocity efforts=effort
-    frame=header.frame_id"""
+_JOINTS: Final = """names=name positions=position velocities=velocity:measured
+    efforts=effort:measured frame=header.frame_id"""
 _IMU: Final = """orientation=orientation:xyzw rotation=angular_velocity:xyz
     acceleration=linear_acceleration:xyz frame=header.frame_id"""
 _IMAGE: Final = "width height encoding step data frame=header.frame_id"
@@ -164,7 +169,7 @@ class Form:
             return tuple(inner.value(each) for each in message[self.rows])
         try:
             if isinstance(self.fields, str):
-                return _get(message, self.fields) if self.fields else _measured(message)
+                return _get(message, self.fields) if self.fields else _plain(message)
             found = {name: _get(message, path) for name, path in self.fields.items()}
             return self.kind(**found)
         except (LookupError, TypeError) as error:
@@ -245,15 +250,17 @@ def _get(message: Any, path: str) -> Any:
     if how == "yaw":
         x, y, z, w = (message[each] for each in "xyzw")
         return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return tuple(message[each] for each in how) if how else _measured(message)
+    if how == "measured":
+        return tuple(0.0 if each != each else each for each in message)
+    return tuple(message[each] for each in how) if how else _plain(message)
 
 
-def _measured(part: Any) -> Any:
-    """Return rows as tuples, with 0.0 for what is no number: it was not measured."""
+def _plain(part: Any) -> Any:
+    """Return rows as tuples."""
     if isinstance(part, list):
-        return tuple(0.0 if each != each else each for each in map(_measured, part))
+        return tuple(map(_plain, part))
     if isinstance(part, dict):
-        return {name: _measured(each) for name, each in part.items()}
+        return {name: _plain(each) for name, each in part.items()}
     return part
 
 
@@ -265,6 +272,6 @@ def _put(message: dict[str, Any], path: str, value: Any) -> None:
     if how == "yaw":
         half = value / 2.0
         value = {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)}
-    elif how:
+    elif how.startswith("x"):
         value = dict(zip(how, map(float, value), strict=True))
     message[last] = value
