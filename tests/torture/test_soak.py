@@ -226,3 +226,14 @@ def test_a_crash_of_what_waits_for_a_restart_is_none_of_later() -> None:
     world = World(Target("robot", robot), Story(0, steps, 18.736))
     assert world.run().violations == ()
     assert world.done["crash"] == 2
+
+
+def test_what_was_removed_does_not_crash() -> None:
+    """It has no place in that moment."""
+    steps = (
+        Step(1.6, "remove", "on_twice", lasts=0.3),
+        Step(1.8, "crash", "on_twice", how="OSError"),
+    )
+    world = World(Target("robot", robot), Story(0, steps, 3.0))
+    assert world.run().violations == ()
+    assert world.done.total() == 1

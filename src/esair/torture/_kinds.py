@@ -194,9 +194,10 @@ _faulty("flooding", "pushing", lasts=SHORT, much=(20.0, 200.0), weight=0.5)
 @_kind("behavior", "actions", hows=tuple(ERRORS), weight=2.0)
 def crash(world: World, step: Step) -> None:
     """Its code raises, unless that waits for a restart."""
+    lever = world.lever(step.target)
     if world.robot.behaviors.query(step.target).state is BehaviorState.RESTARTING:
         raise NotNowError
-    world.lever(step.target).crash(step.how)
+    lever.crash(step.how)
 
 
 @_kind("behavior", "behaviors", lasts=LONG, hows=("", "deaf"), weight=2.0)
