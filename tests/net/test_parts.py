@@ -412,6 +412,14 @@ async def test_a_reading_of_a_class_that_is_not_declared_is_a_loss(where: str) -
             assert "Odd" in str(told.error)
 
 
+@pytest.mark.parametrize("kind", [3, True, ["float"], {"float": 1}])
+@pytest.mark.parametrize("part", [PeerSensor, PeerActuator])
+def test_a_type_that_is_none_is_refused(part: Any, kind: Any) -> None:
+    """Any value would be of it, so nothing would be checked."""
+    with pytest.raises(esair.ConfigError, match="type: expected a type such as float"):
+        part(name="far", bus=Pair().to_base, type=kind)
+
+
 @attrs.frozen
 class Odd:
     """A reading of a class of one's own."""

@@ -103,6 +103,9 @@ def _type_of(owner: Sensor[Any] | Actuator[Any], kind: Any) -> Any:
             if is_part or inspect.isroutine(kind):
                 told = f"expected the class of a value, not {named!r:.80}"
                 raise ConfigError(owner.name, "type", told)
+    elif isinstance(kind, bytes | int | float | list | tuple | dict):
+        told = f"expected a type such as float, or 'module:Class', not {kind!r:.80}"
+        raise ConfigError(owner.name, "type", told)
     if owner.bus is not None and kind is not Any:
         owner.bus.declare(kind)
     return kind
