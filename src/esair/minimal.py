@@ -509,7 +509,8 @@ class _Output:
 
     def close(self) -> None:
         """Send the safe command, unless it has taken it already."""
-        self.bad and self.tell()  # type: ignore[func-returns-value]
+        if self.bad:
+            self.tell()
 
 
 class Loop:
@@ -596,7 +597,8 @@ class Loop:
         Time is counted in periods: such a loop calls `skip` when it has missed some,
         and `close` at its end.
         """
-        self._run or self.open()  # type: ignore[func-returns-value]
+        if not self._run:
+            self.open()
         self._run()
 
     def _steps(self) -> "Generator[None]":
@@ -728,12 +730,12 @@ class Loop:
                         steps -= 1
                     if feed:
                         feed()
-                    while True:  # it may sleep too long
-                        late = _ticks() - begin - self._ms & _MASK
-                        if late >= _LONGEST:
-                            break
-                        _sleep(_LONGEST - late)
-                    self.skip((late - _LONGEST) * self.every // 1000000)
+                    # It may sleep too long.
+                    while (
+                        late := (_ticks() - begin - self._ms & _MASK) - _LONGEST
+                    ) < 0:
+                        _sleep(-late)
+                    self.skip(late * self.every // 1000000)
             finally:
                 self.close()
         finally:  # Ctrl-C may have come once more, before that could begin
@@ -748,7 +750,7 @@ class Loop:
         self.phase = self.said = 0
         for node in self.ages:
             node._days = 0
-            node._ms = isinstance(node, _Input) and _NEVER
+            node._ms = _NEVER if isinstance(node, _Input) else 0
         for task, *_ in self.tasks:
             task.reaction.elapsed_ms = -1
             task.blind = True
