@@ -240,8 +240,8 @@ def _goes_on(plan: Plan, name: str) -> Iterator[Finding]:
     found = [(actuator, "command_timeout", actuator.command_timeout)]
     found += [
         (action, f"{attribute}.hold", need.hold)
-        for _, action, attribute, need in plan.needs()
-        if isinstance(need, Writes) and need.resource == name
+        for _, action, attribute, need in plan.needs_of.get(name, {}).values()
+        if isinstance(need, Writes)
     ]
     for whose, field, seconds in found:
         if is_positive(seconds) and seconds > _LONG:
