@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from tests.torture.generated import maker
+from tests.torture.small import ROBOTS
 
 import esair.demo
 from esair.torture import Step, Story, Target, World, survive, torture
@@ -49,6 +50,16 @@ def test_soak_of_processes(request: pytest.FixtureRequest) -> None:
     soak(
         SOAK // 20 if request.config.getoption("--esair-soak") else FAULTS, placed=True
     )
+
+
+@pytest.mark.long
+@pytest.mark.promise("RS-5", "SUP-3", "TOR-1")
+@pytest.mark.parametrize("kind", ROBOTS)
+def test_soak_of_the_small(request: pytest.FixtureRequest, kind: str) -> None:
+    """Nor what happens within a second to one sensor, one actuator and who uses them."""
+    faults = 50_000 if request.config.getoption("--esair-soak") else LONG
+    report = torture(Target(kind, ROBOTS[kind]), seed=SEED, faults=faults)
+    assert [(str(each.violation), each.story) for each in report.findings] == []
 
 
 @pytest.mark.promise("ROB-2", "SUP-3")
@@ -157,41 +168,6 @@ def test_what_lands_on_a_device_that_was_replaced_is_not_its_successors() -> Non
     assert world.run().violations == ()
 
 
-class Sonar(esair.Sensor[float]):
-    rate = 13.0
-
-    async def read(self) -> float:
-        return 0.83
-
-
-class Twice(esair.Derived[float]):
-    sonar = esair.reads(float)
-
-    def compute(self, sonar: float) -> float:
-        return 2 * sonar
-
-
-class Wheels(esair.Actuator[float]):
-    safe = 0.0
-    command_timeout = 0.3
-
-    async def write(self, command: float) -> None: ...
-
-
-class OnTwice(esair.Reaction):
-    twice = esair.reads(float)
-    wheels = esair.writes(float)
-
-    def react(self, twice: float) -> float:
-        return 0.2 * twice
-
-
-def robot() -> esair.Robot:
-    """Return one whose only reaction sees by what is computed."""
-    resources = [Sonar(), Wheels(), Twice()]
-    return esair.Robot(resources=resources, behaviors=[OnTwice()])
-
-
 @pytest.mark.promise("RS-4", "SUP-1")
 def test_a_setting_that_waits_while_the_robot_stops_is_told_of_it() -> None:
     """It had its turn when the device was closed, and its right was still one."""
@@ -202,7 +178,7 @@ def test_a_setting_that_waits_while_the_robot_stops_is_told_of_it() -> None:
         Step(1.6, "held up", much=0.5),
         Step(1.6, "configure", "sonar"),
     )
-    world = World(Target("robot", robot), Story(0, steps, 1.9))
+    world = World(Target("robot", ROBOTS["computed"]), Story(0, steps, 1.9))
     assert world.run().violations == ()
 
 
@@ -213,7 +189,7 @@ def test_what_is_computed_is_added_when_its_sources_are_there() -> None:
         Step(3.0, "remove", "twice", lasts=0.02),
         Step(3.0, "remove", "sonar", lasts=0.02),
     )
-    world = World(Target("robot", robot), Story(0, steps, 19.956))
+    world = World(Target("robot", ROBOTS["computed"]), Story(0, steps, 19.956))
     assert world.run().violations == ()
 
 
@@ -223,7 +199,7 @@ def test_a_crash_of_what_waits_for_a_restart_is_none_of_later() -> None:
     steps = tuple(
         Step(at, "crash", "on_twice", how="OSError") for at in (3.0, 3.2, 3.236)
     )
-    world = World(Target("robot", robot), Story(0, steps, 18.736))
+    world = World(Target("robot", ROBOTS["computed"]), Story(0, steps, 18.736))
     assert world.run().violations == ()
     assert world.done["crash"] == 2
 
@@ -234,6 +210,6 @@ def test_what_was_removed_does_not_crash() -> None:
         Step(1.6, "remove", "on_twice", lasts=0.3),
         Step(1.8, "crash", "on_twice", how="OSError"),
     )
-    world = World(Target("robot", robot), Story(0, steps, 3.0))
+    world = World(Target("robot", ROBOTS["computed"]), Story(0, steps, 3.0))
     assert world.run().violations == ()
     assert world.done.total() == 1
