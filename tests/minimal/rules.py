@@ -488,7 +488,7 @@ def rule_a_block_of_ten_minutes_costs_no_sleep():
 def rule_a_sleep_that_lasts_too_long_is_noticed_before_the_next_step():
     """What was seen before it is as old as it is: nobody moves by it once more."""
     clock = [1000]
-    moved: "list[float]" = []
+    moved: list[float] = []
     real = minimal._ticks, minimal._sleep
 
     def sleep(ms):
