@@ -38,6 +38,7 @@ class Pace:
     def told(self, size: int) -> None:
         """Take down that a reading was said, of so many bytes."""
         self._told += size
+        self._is_full |= self._told - self._heard >= self._room
 
     def copied(self, now: float) -> None:
         """Take down that something came twice."""
@@ -61,9 +62,8 @@ class Pace:
     def is_slow(self, now: float, heard_at: float) -> bool:
         """Tell whether readings wait, where the newest echo is of a beat of a moment."""
         room = 1.0 if now - self._copied_at < 2.0 * BEAT else self._room
-        self._is_full = self._told - self._heard >= room
         is_late = self._is_late or self._is_long(now - heard_at - 2.0 * BEAT)
-        return is_late or self._is_full
+        return is_late or self._told - self._heard >= room
 
     def _is_long(self, trip: float) -> bool:
         return trip > 1.5 * self._way + BEAT
