@@ -113,9 +113,8 @@ def _keys_one_by_one() -> Iterator[None]:
     try:
         yield
     finally:
-        termios.tcsetattr(
-            sys.stdin, termios.TCSAFLUSH, before
-        )  # held keys are no words
+        # What a held key has typed is no word for the shell.
+        termios.tcsetattr(sys.stdin, termios.TCSAFLUSH, before)
 
 
 class _Wheel:

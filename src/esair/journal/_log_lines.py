@@ -59,7 +59,7 @@ def contained(
 _nobodys = logging.Handler()  # says by what it was raised, as Python's own handlers do
 _log = logging.getLogger("esair")
 _log.addFilter(escape_traceback)
-vars(_log)["handle"] = contained(_log.handle)
+_log.handle = contained(_log.handle)  # type: ignore[assignment,method-assign]
 
 
 class Beside:

@@ -54,9 +54,7 @@ _FOLLOW_AGAIN = 20  # beats after which the peer is told again what is wanted
 _OVER = 8  # runs that are over of which it is known
 _KEPT = 128  # beats of which it is known when they were sent
 _IN_BEAT = 1 << 14  # messages of one beat: each is known if it comes twice
-_WORDS = (
-    400  # letters of why something is gone: it may be told in a circle, ever longer
-)
+_WORDS = 400  # letters of why a part is gone: in a circle they would be ever more
 _PENDING = 64  # requests that wait for their answers
 _READINGS = 16  # readings of a sensor that wait to be taken
 

@@ -303,10 +303,9 @@ class ModbusActuator(_OnUnit, Actuator[Any]):
         frame = self.bus.framing.fresh().encode(message)
         if isinstance(self.bus.framing, ModbusTcp):
             return SafeFrames([frame])
-        # Silence alone ends a message that was cut, and one answer may come meanwhile.
-        gap = 0.002 + self.bus.seconds_for(
-            len(frame) + 4
-        )  # by the standard 1.75 ms, 3.5
+        # Silence alone ends a message that was cut (by the standard 1.75 ms, or that of
+        # 3.5 bytes), and one answer may come meanwhile.
+        gap = 0.002 + self.bus.seconds_for(len(frame) + 4)
         return SafeFrames([frame], repeat=3, gap=gap)
 
     @property
