@@ -395,7 +395,6 @@ async def test_a_browser_that_vanishes_releases_the_wheels(served):
         await robot.wheels.until(STILL, timeout=0.6)
 
 
-@pytest.mark.promise("SEC-1")
 class Slow(esair.Sensor[float]):
     async def read(self) -> float:
         return 1.0
@@ -419,6 +418,7 @@ async def test_who_waits_for_much_can_look_all_the_same(served):
         assert (await browser.do("status"))["ok"]
 
 
+@pytest.mark.promise("SEC-1")
 def test_another_address_needs_tls_or_a_word():
     """Not by an omission; and the token is never shown."""
     with pytest.raises(esair.ConfigError, match="insecure"):

@@ -380,6 +380,21 @@ async def test_a_slow_client_gets_the_newest_only(rover, raw):
         lazy.close()
 
 
+@pytest.mark.promise("OPS-1", "TURN-4")
+async def test_who_looks_without_end_does_not_hold_the_loop(rover, raw):
+    """What comes at once is done for some, and refused to the rest: each has an answer."""
+    async with rover() as robot, raw() as client:
+        lines = [{"v": 1, "id": f"l{n}", "act": "status"} for n in range(100)]
+        client.writer.write("".join(json.dumps(each) + "\n" for each in lines).encode())
+        done = {}
+        while len(done) < 100:
+            told = json.loads(await client.reader.readline())
+            if "ok" in told:
+                done[told["id"]] = told["ok"]
+        assert 16 < sum(done.values()) < 100
+        assert robot.journal.counts()["operator"]["refused"] > 0
+
+
 @pytest.mark.promise("OPS-3")
 @pytest.mark.long
 async def test_a_flood_of_settings_does_not_delay_a_stop(rover, raw):

@@ -171,8 +171,10 @@ class Console:
                 self.again += 1
                 return known[1]
             self._check_right(act, str(fields.get(act.about) or ""))
-            if session.busy >= AT_A_TIME and not (act.open or act.looks):
-                raise BusyError("operator", "number of acts at a time", AT_A_TIME)
+            # Who waits for as many acts as may be can look at them.
+            most = 2 * AT_A_TIME if act.looks else AT_A_TIME
+            if session.busy >= most and not act.open:
+                raise BusyError("operator", "number of acts at a time", most)
         except Exception as error:
             self.refused += 1
             outcome.set_exception(error)
