@@ -386,7 +386,7 @@ async def test_who_looks_without_end_does_not_hold_the_loop(rover, raw):
     async with rover() as robot, raw() as client:
         lines = [{"v": 1, "id": f"l{n}", "act": "status"} for n in range(100)]
         client.writer.write("".join(json.dumps(each) + "\n" for each in lines).encode())
-        done = {}
+        done: dict[str, bool] = {}
         while len(done) < 100:
             told = json.loads(await client.reader.readline())
             if "ok" in told:
