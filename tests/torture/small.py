@@ -16,6 +16,13 @@ class Polled(esair.Sensor[float]):
         return 0.83
 
 
+class Blocking(esair.Sensor[float]):
+    rate = 11.0
+
+    def read(self) -> float:
+        return 0.9
+
+
 class Pushing(esair.Sensor[float]):
     period = 0.6
 
@@ -159,12 +166,14 @@ ROBOTS: Final[dict[str, Maker]] = {
     "a guard": of(Polled, Wheels, Guard, Drive),
     "a guard, slow wheels": of(Polled, Slow, Guard, Drive),
     "a latch": of(Polled, Wheels, Latch, Drive),
+    "a latch, blocking": of(Blocking, Plain, Latch, Thread, Rest),
     "a thread": of(Polled, Plain, Guard, Thread),
     "two reactions": of(Polled, Slow, Copy, Timed),
     "computed": of(Polled, Wheels, OnTwice),
     "computed, pushed": of(Pushing, Plain, OnTwice, Timed),
     "a step": of(Polled, Wheels, Perform),
     "a reader": of(Pushing, Wheels, Reader),
+    "a reader, polled": of(Polled, Wheels, Reader),
     "modes": of(
         Polled, Wheels, Copy, Rest, Guard, modes={"a": ["copy"], "b": ["rest"]}
     ),

@@ -10,6 +10,7 @@ from tests.torture.small import ROBOTS
 
 import esair.demo
 from esair.torture import Step, Story, Target, World, survive, torture
+from esair.torture._torture import tell
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -213,3 +214,34 @@ def test_what_was_removed_does_not_crash() -> None:
     world = World(Target("robot", ROBOTS["computed"]), Story(0, steps, 3.0))
     assert world.run().violations == ()
     assert world.done.total() == 1
+
+
+@pytest.mark.promise("TOR-1")
+@pytest.mark.parametrize(
+    ("kind", "lasts", "steps"),
+    [
+        (
+            "a latch, blocking",
+            18.8,
+            (Step(3.0, "failing", "sonar", lasts=0.3, how="SystemExit"),),
+        ),
+        (
+            "a reader, polled",
+            4.761,
+            (
+                Step(2.3, "halt", lasts=1.0),
+                Step(2.8, "silent", "wheels", lasts=1.0),
+                Step(3.4, "halt", lasts=0.02),
+                Step(3.5, "late", "wheels", lasts=1.0, how="after deaf", much=1.5),
+                Step(3.761, "remove", "reader", lasts=0.02),
+            ),
+        ),
+    ],
+    ids=["reset when it can be", "safe again once the motion's call has ended"],
+)
+def test_a_small_robot_is_not_blamed(
+    kind: str, lasts: float, steps: tuple[Step, ...]
+) -> None:
+    """Neither for a latch that nobody could reset, nor for what it could not know."""
+    story = Story(0, steps, lasts)
+    assert tell(Target(kind, ROBOTS[kind]), story).violations == ()

@@ -161,7 +161,7 @@ class Gate:
                 self._check(name)
                 result = await inner(*args, **options)
                 result = self._ended(name, told, result)
-                await self._wait(self._late("after"))
+                await self._wait(self.late("after"))
                 self._returns(name, result)
                 return result
 
@@ -175,7 +175,7 @@ class Gate:
             self._sleep(self._pause())
             self._check(name)
             result = self._ended(name, told, inner(*args, **options))
-            self._sleep(self._late("after"))
+            self._sleep(self.late("after"))
             self._returns(name, result)
             return result
 
@@ -241,13 +241,14 @@ class Gate:
     def _pause(self) -> float:
         """How long a call waits before the device has it, in seconds."""
         silent = self.faults["silent"][0] if "silent" in self.faults else 0.0
-        late = self._late("before")
+        late = self.late("before")
         return max(
             late * self._moods.choice(MOODS) if late else 0.0,
             silent - self._loop.time(),
         )
 
-    def _late(self, how: str) -> float:
+    def late(self, how: str) -> float:
+        """How late its calls are now, before or after the device has it, in seconds."""
         late = self._fault("late")
         return late.much if late and late.how.startswith(how) else 0.0
 

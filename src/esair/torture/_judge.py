@@ -295,9 +295,10 @@ class Judge:
         ):
             calls, opening = channel.calls, channel.calls.opening
             landed = told.landed or 0.0
+            known = landed + gate.late("after")  # when its call ends, at the latest
 
             def look() -> None:
-                left = AGAIN_WITHIN + landed + world.jumped(landed) - world.now
+                left = AGAIN_WITHIN + known + world.jumped(landed) - world.now
                 if left > 1e-9:  # time has passed at once: nobody could send it
                     world.loop.call_later(left, look)
                     return

@@ -37,7 +37,12 @@ from esair.torture._target import Target
 END_WITHIN = 120.0
 """How long the end of a robot may take at all, in seconds of the virtual clock."""
 
-CARE = 5.0  # How long after the last fault the user looks after the robot, in seconds
+CARE = (5.0, 10.0)
+"""How long after the last fault the user looks after the robot, in seconds.
+
+Twice: a guard cannot be reset while its device waits to be opened once more.
+"""
+
 LEAVES = 5.0  # How long a thread that ends may take to do so, in real seconds
 RETOLD = 3  # How often a story is told again that shows that its robot is lifeless
 DRAIN = 6.0  # How long what is late may still come after the end, in seconds
@@ -311,7 +316,8 @@ class World:
         for part in range(1, 5):
             when = self.story.lasts * part / 4 - 1e-3
             agenda.append((when, -1, lambda: self.boxes.look(self)))
-        agenda.append((self.story.over_at + CARE, -1, self._look_after))
+        over = self.story.over_at
+        agenda += [(over + care, -1, self._look_after) for care in CARE]
         agenda.append((self.story.lasts, 10**6, lambda: self.finish("leave")))
         for when, _, act in sorted(agenda, key=lambda each: each[:2]):
             if when > self.now:
