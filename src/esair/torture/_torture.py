@@ -24,7 +24,7 @@ from esair.torture._kinds import KINDS, Cast, cast_of
 from esair.torture._life import longest_tail
 from esair.torture._story import Step, Story, repr_of
 from esair.torture._target import Target
-from esair.torture._world import Check, Outcome, tell
+from esair.torture._world import Outcome, tell
 from esair.values import printable
 
 DENSE, SPARSE = (0.08, 30, 80), (0.4, 6, 24)
@@ -250,7 +250,6 @@ def torture(
     faults: int | None = None,
     findings: int = MOST_FINDINGS,
     told: Callable[[Report], object] = lambda _: None,
-    checks: tuple[Check, ...] = (),
 ) -> Report:
     """Do everything to a robot that can go wrong, and judge it.
 
@@ -265,20 +264,19 @@ def torture(
         faults: How many steps are taken; no limit unless given.
         findings: After how many findings it ends.
         told: Called after each story.
-        checks: What else must hold.
     """
     report = Report(seed)
     began = time.monotonic()
     known: set[tuple[str, str]] = set()
     with _quietly(), _interruptible(report):
-        for story in _stories(target, seed, checks):
-            outcome = tell(target, story, checks)
+        for story in _stories(target, seed):
+            outcome = tell(target, story)
             _count(report, outcome)
             for violation in outcome.violations:
                 if violation.key not in known and len(report.findings) < findings:
                     known.add(violation.key)
                     until = began + (seconds or math.inf) + LAST_SHRINK
-                    finding = _shrunk(target, story, violation, checks, report, until)
+                    finding = _shrunk(target, story, violation, report, until)
                     if finding is not None:
                         report.findings.append(finding)
                         known |= outcome.keys
@@ -296,7 +294,7 @@ def torture(
     return report
 
 
-def _stories(target: Target, seed: int, checks: tuple[Check, ...]) -> Iterator[Story]:
+def _stories(target: Target, seed: int) -> Iterator[Story]:
     yield Story(seed, lasts=5.0)
     try:
         robot = target.make()
@@ -327,24 +325,23 @@ def _shrunk(
     target: Target,
     story: Story,
     violation: Violation,
-    checks: tuple[Check, ...],
     report: Report,
     until: float,
 ) -> Finding | None:
     """Return the finding with its shortest story; None if it was none."""
     if violation.rule == "queue":
-        told = tell(target, _longer(story), checks)
+        told = tell(target, _longer(story))
         if violation.key not in told.keys:
             return None  # it has a bound, which is further away
 
     def shows(other: Story) -> bool:
         if report.interrupted or time.monotonic() > until:
             return False  # it stays as long as it is
-        return violation.key in tell(target, other, checks).keys
+        return violation.key in tell(target, other).keys
 
     if violation.rule != "holds":  # that takes real time
         story = shrink(story, shows)
-        found = tell(target, story, checks).violations
+        found = tell(target, story).violations
         violation = next((e for e in found if e.key == violation.key), violation)
     return Finding(violation, story)
 

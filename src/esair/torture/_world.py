@@ -47,8 +47,6 @@ LEAVES = 5.0  # How long a thread that ends may take to do so, in real seconds
 RETOLD = 3  # How often a story is told again that shows that its robot is lifeless
 DRAIN = 6.0  # How long what is late may still come after the end, in seconds
 
-Check = Callable[["World"], None]
-
 
 @attrs.frozen
 class Outcome:
@@ -78,7 +76,6 @@ class World:
     Args:
         target: Whose robot.
         story: What is done to it.
-        checks: What else must hold, looked at when everything is over.
 
     Attributes:
         robot: The robot.
@@ -93,9 +90,7 @@ class World:
         lasting: The actions that had not come to an end shortly before the robot did.
     """
 
-    def __init__(
-        self, target: Target, story: Story, checks: tuple[Check, ...] = ()
-    ) -> None:
+    def __init__(self, target: Target, story: Story) -> None:
         self.target = target
         self.story = story
         self.loop: VirtualLoop = VirtualLoop(seed=story.seed)
@@ -113,7 +108,6 @@ class World:
         self.boxes: Boxes = Boxes()
         self.deeds: Deeds
         self.lasting: set[str] = set()
-        self._checks = checks
         self._spares: dict[str, list[Any]] = {}
         self._jumps: list[tuple[float, float]] = []
         self._orders: list[tuple[str, str, asyncio.Task[Any]]] = []
@@ -220,8 +214,6 @@ class World:
             loop.close()
         for left in leaks.check_process(LEAVES) if is_over else ():
             self.judge.say("left", self.robot.name, f"the {left} is left behind")
-        for check in self._checks:
-            check(self)
         silent = {gate.name: gate.speechless for gate in self.gates if gate.speechless}
         found = tuple(self.judge.found)
         return Outcome(found, self.done, self.judge.slowest, silent)
@@ -375,7 +367,7 @@ class World:
             self.judge.say("loop", name, problem)
 
 
-def tell(target: Target, story: Story, checks: tuple[Check, ...] = ()) -> Outcome:
+def tell(target: Target, story: Story) -> Outcome:
     """Tell a story to a new robot, and judge it.
 
     What the robot does when nothing is done to it is learned before. Whether it lives on
@@ -384,15 +376,15 @@ def tell(target: Target, story: Story, checks: tuple[Check, ...] = ()) -> Outcom
     if target.habits is None and is_judged(story):
         with contextlib.suppress(esair.EsairError, ExceptionGroup):  # told by the story
             calm = calm_stories(target.make())
-            worlds = [World(target, each, checks) for each in calm]
+            worlds = [World(target, each) for each in calm]
             broken = {rule for world in worlds for rule, _ in world.run().keys}
             target.habits = habits_in([] if broken & UNTOLD else worlds)
-    outcome = World(target, story, checks).run()
+    outcome = World(target, story).run()
     shown = doubtful = {key for key in outcome.keys if key[0] in OF_LIFE}
     for number in range(1, RETOLD + 1):
         if shown:
             again = attrs.evolve(story, seed=story.seed + number)
-            shown = shown & World(target, again, checks).run().keys
+            shown = shown & World(target, again).run().keys
     chance = doubtful - shown
     found = tuple(each for each in outcome.violations if each.key not in chance)
     return attrs.evolve(outcome, violations=found)
