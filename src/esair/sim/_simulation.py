@@ -168,19 +168,9 @@ class Simulation:
         loop = asyncio.get_running_loop()
         found = _of_loop.get(loop)
         if found is None:
-            starting = _starting.get(loop)
-            if starting is None:
-                starting = _starting[loop] = loop.create_future()
-                try:
-                    found = cls()
-                    found._users[user] = None
-                    await found.start()
-                finally:
-                    del _starting[loop]
-                    starting.set_result(None)
-            else:
-                await asyncio.shield(starting)
-                return await cls.join(user)
+            found = cls()
+            found._users[user] = None
+            await found.start()  # in one step: two who join at once share it
         elif found._users:
             found._users[user] = None
         return found
@@ -196,6 +186,3 @@ class Simulation:
 _of_loop: weakref.WeakKeyDictionary[asyncio.AbstractEventLoop, Simulation] = (
     weakref.WeakKeyDictionary()
 )
-_starting: weakref.WeakKeyDictionary[
-    asyncio.AbstractEventLoop, asyncio.Future[None]
-] = weakref.WeakKeyDictionary()
