@@ -13,9 +13,8 @@ It ends where the wires begin: how bytes and frames move, and how a cable is pul
 the far end in the folder of each medium (`esair.buses.serial` and its kin).
 """
 
-from esair.sim._buses import SimCanBus, SimI2CBus, SimSerialBus
 from esair.sim._parts import SimBumper, SimMotor, SimMpu6050, SimRangeFinder
-from esair.sim._simulation import Simulation
+from esair.sim._simulation import SimCanBus, SimI2CBus, SimSerialBus, Simulation
 from esair.sim._world import Arena, Box, Pillar, Wall, World
 
 __all__ = [
