@@ -17,11 +17,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import attrs
 
-from esair.buses._bus import Bus, BusStats, LateWire, Wire, wanted
+from esair.buses._bus import Bus, BusStats, LateWire, Wire, open_on, shut_on, wanted
 from esair.buses._exchanges import Exchange, Exchanges
 from esair.buses._inbox import Inbox
 from esair.buses._link_bus import LinkBus
-from esair.buses._opening import open_on, shut_on
 from esair.loading import late
 
 if TYPE_CHECKING:

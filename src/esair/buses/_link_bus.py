@@ -10,8 +10,7 @@ import random
 from collections.abc import Callable, Hashable
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
-from esair.buses._bus import TURN_LIMIT, Bus, Wire, wanted
-from esair.buses._opening import open_on, shut_on
+from esair.buses._bus import TURN_LIMIT, Bus, Wire, open_on, shut_on, wanted
 from esair.exceptions import (
     BadValueError,
     BusyError,

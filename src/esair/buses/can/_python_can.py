@@ -21,8 +21,7 @@ from typing import Any, Final
 
 import attrs
 
-from esair.buses._bus import BusStats
-from esair.buses._opening import open_on
+from esair.buses._bus import BusStats, open_on
 from esair.buses.can import _interfaces as _can_interface
 from esair.buses.can._frame import (
     EXTENDED,

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import attrs
 
-from esair.buses._opening import open_on, shut_on
+from esair.buses._bus import open_on, shut_on
 from esair.buses.peer._line import Line, close_all, pause
 from esair.buses.peer._wire import LIMIT, key_of
 from esair.exceptions import ConfigError, DeviceLostError, EsairError, describe

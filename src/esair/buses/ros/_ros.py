@@ -16,7 +16,7 @@ from typing import Any, Final, Literal, Protocol
 
 import attrs
 
-from esair.buses._opening import open_on, shut_on
+from esair.buses._bus import open_on, shut_on
 from esair.buses.peer import Head, PeerBus, head_of, packed, parts_of
 from esair.buses.ros import _child
 from esair.buses.ros._forms import Form

@@ -22,7 +22,7 @@ from collections.abc import Callable, Hashable, Mapping
 from pathlib import Path
 from typing import Any
 
-from esair.buses._opening import open_on, shut_on
+from esair.buses._bus import open_on, shut_on
 from esair.buses.finding import parse_identity
 from esair.buses.serial import _ports
 from esair.buses.serial._line import SerialLink
