@@ -14,7 +14,7 @@ import esair
 from esair.cli import main
 from esair.journal import Journal, Kind
 from esair.recording import Recorder, events_of, facts_of
-from esair.recording._file import Segment
+from esair.recording._recorder import Segment
 
 pytest.importorskip("foxglove", reason="needs esair[record]")
 

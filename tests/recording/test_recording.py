@@ -25,7 +25,7 @@ import esair
 from esair.journal import Event, Journal, Kind
 from esair.messages import Reading
 from esair.recording import Recorder, events_of, facts_of, is_whole, plain
-from esair.recording._file import CHUNK, Segment
+from esair.recording._recorder import CHUNK, Segment
 
 pytest.importorskip("foxglove", reason="needs esair[record]")
 

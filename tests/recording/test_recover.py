@@ -17,7 +17,7 @@ import pytest
 import esair
 from esair.journal import Journal, Kind
 from esair.recording import Recorder, events_of, facts_of, is_whole, recover
-from esair.recording._file import Segment
+from esair.recording._recorder import Segment
 from esair.recording._recover import left_cut
 
 pytest.importorskip("foxglove", reason="needs esair[record]")

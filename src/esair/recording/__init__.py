@@ -4,8 +4,14 @@ Recording is a listener of the journal. It needs ``esair[record]``.
 """
 
 from esair.messages import Recording
-from esair.recording._messages import Seen, seen_as, size_of
-from esair.recording._plain import fields_of, plain, schema_of
+from esair.recording._messages import (
+    Seen,
+    fields_of,
+    plain,
+    schema_of,
+    seen_as,
+    size_of,
+)
 from esair.recording._reading import Gaps, Recorded, chunks_of, events_of, facts_of
 from esair.recording._recorder import Recorder, facts_about
 from esair.recording._recover import Recovered, is_whole, recover, replaced
