@@ -3,8 +3,7 @@
 It needs ``esair[record]``.
 """
 
-from esair.replay._compare import Comparison, Divergence
-from esair.replay._replay import Outcome, Replay
+from esair.replay._replay import Comparison, Divergence, Outcome, Replay
 from esair.replay._unrepeatable import Unrepeatable, unrepeatable
 
 __all__ = [
