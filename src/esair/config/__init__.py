@@ -18,12 +18,14 @@ from esair.config._load import (
     build,
     check,
     check_together,
+    find_robot,
     has_simulation,
+    is_of_module,
     load,
     load_robot,
+    robot_of,
 )
 from esair.config._mistakes import ConfigFileError, Lines
-from esair.config._module import find_robot, is_of_module, robot_of
 from esair.config._source import digest_of, tables_of
 from esair.config._values import INVALID, convert, fields_of
 
