@@ -13,8 +13,9 @@ import pytest
 import esair
 from esair.demo import Avoid, Belief, Bump, Explore, Home, Scan, Touch, Twist
 from esair.demo._journeys import follow
-from esair.demo._map import FloorMap, Position
 from esair.demo._plan import (
+    FloorMap,
+    Position,
     Way,
     is_blocked,
     is_worth_while,

@@ -17,10 +17,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from esair.demo._map import FloorMap
+from esair.demo._plan import FloorMap
 from esair.demo._samples import Event
-from esair.demo._screen import Drawing, Screen
-from esair.demo._show import Ending, perform
+from esair.demo._show import Drawing, Ending, Screen, perform
 
 
 def test_the_map_has_north_at_the_top() -> None:

@@ -20,8 +20,7 @@ from esair.buses import Frame
 from esair.config import load
 from esair.demo import demo
 from esair.demo._samples import Event
-from esair.demo._screen import Screen
-from esair.demo._show import Ending, perform
+from esair.demo._show import Ending, Screen, perform
 from esair.drivers.wheel_motor import (
     LEFT,
     RIGHT,

@@ -6,10 +6,10 @@ import itertools
 import math
 
 from esair.actions import Behavior, reads, writes
-from esair.demo._map import Position
 from esair.demo._mapper import Belief
 from esair.demo._plan import (
     Point,
+    Position,
     Way,
     is_blocked,
     is_worth_while,

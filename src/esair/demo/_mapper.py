@@ -10,7 +10,7 @@ import numpy as np
 
 from esair.actions import Behavior, reads
 from esair.demo._devices import Travel
-from esair.demo._map import FloorMap, Position
+from esair.demo._plan import FloorMap, Position
 from esair.demo._values import Scan, Touch
 from esair.drivers.mpu6050 import Motion
 
