@@ -9,7 +9,7 @@ import pytest
 
 from esair.torture import Story, Target, write_test
 from esair.torture._judge import Violation
-from esair.torture._story import repr_of
+from esair.torture._kinds import repr_of
 
 EVIL = 'x"""\nimport os; os.system("touch ran")\n"""\\'
 

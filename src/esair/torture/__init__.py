@@ -7,8 +7,7 @@ down what the device was told when it had it. What must always hold is judged th
 """
 
 from esair.torture._judge import Violation
-from esair.torture._kinds import KINDS, Kind
-from esair.torture._story import Step, Story
+from esair.torture._kinds import KINDS, Kind, Step, Story
 from esair.torture._target import Target
 from esair.torture._torture import Finding, Report, survive, torture, write_test
 from esair.torture._world import Outcome, World, tell

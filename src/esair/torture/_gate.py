@@ -29,7 +29,7 @@ from esair.values import fits
 
 if TYPE_CHECKING:
     from esair.torture._judge import Judge
-    from esair.torture._story import Step
+    from esair.torture._kinds import Step
 
 CALLS = {
     "open": "",

@@ -13,7 +13,7 @@ from esair.exceptions import ProcessDiedError, describe
 from esair.journal import Event, Kind
 from esair.messages import BehaviorState, ResourceState, SupervisorPhase
 from esair.torture._gate import is_injected
-from esair.torture._story import Story
+from esair.torture._kinds import Story
 
 if TYPE_CHECKING:
     from esair.torture._world import World

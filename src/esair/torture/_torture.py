@@ -20,9 +20,8 @@ from pathlib import Path
 import attrs
 
 from esair.torture._judge import Violation
-from esair.torture._kinds import KINDS, Cast, cast_of
+from esair.torture._kinds import KINDS, Cast, Step, Story, cast_of, repr_of
 from esair.torture._life import longest_tail
-from esair.torture._story import Step, Story, repr_of
 from esair.torture._target import Target
 from esair.torture._world import Outcome, tell
 from esair.values import printable

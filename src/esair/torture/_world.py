@@ -19,7 +19,7 @@ from esair.resources import Resource
 from esair.testing import DeadlockError, Leaks, LivelockError, VirtualLoop
 from esair.torture._gate import Gate, Lever
 from esair.torture._judge import SLACK, Boxes, Judge, Violation, protected_in
-from esair.torture._kinds import KINDS, NotNowError
+from esair.torture._kinds import KINDS, NotNowError, Step, Story
 from esair.torture._life import (
     OF_LIFE,
     UNTOLD,
@@ -31,7 +31,6 @@ from esair.torture._life import (
     look_after,
 )
 from esair.torture._patience import HeldError, Patience, abandon, virtual_sleep
-from esair.torture._story import Step, Story
 from esair.torture._target import Target
 
 END_WITHIN = 120.0
