@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from esair.buses.mqtt import FakeMqtt
     from esair.buses.serial import FakeSerial
     from esair.buses.spi import FakeSpi
-    from esair.testing._bus_contract import BusContract
     from esair.testing._contracts import (
         ActuatorContract,
+        BusContract,
         GatewayContract,
         SensorContract,
     )
@@ -53,8 +53,7 @@ _get, _ = late(
     __name__,
     {
         # The suites need pytest.
-        "_bus_contract": "BusContract",
-        "_contracts": "ActuatorContract GatewayContract SensorContract",
+        "_contracts": "ActuatorContract BusContract GatewayContract SensorContract",
         # Recordings need ``esair[record]``.
         "_recorded": "RecordedRun RecordedSensor recording",
     },
