@@ -33,11 +33,10 @@ from esair.actions import (
     adapt_action,
 )
 from esair.buses import Bus
-from esair.config._classes import find_class, searched_first
+from esair.config._classes import BUSES, find_class, searched_first
 from esair.config._draft import Draft, Part, Variant
-from esair.config._mistakes import Lines, Mistakes, below, unknown
+from esair.config._mistakes import Lines, Mistakes, below, dotted, unknown
 from esair.config._source import Source
-from esair.config._tables import class_of, variant_of
 from esair.config._values import INVALID, Field, fields_of, make_of, wanted
 from esair.exceptions import BadValueError, ConfigError
 from esair.resources import (
@@ -51,6 +50,102 @@ from esair.resources import (
     wrong_bus,
 )
 from esair.values import check_name, hints_of, once_for_class, snake_case, value_type
+
+
+def named_tables(
+    source: Source, kind: str, suffix: str = ""
+) -> list[tuple[str, dict[str, Any]]]:
+    holder = source.data.get(kind, {})
+    found: list[tuple[str, dict[str, Any]]] = []
+    for name, table in list(holder.items()):
+        key = dotted(kind, name)
+        good = source.is_name(kind, name.removesuffix(suffix), key)
+        if good and isinstance(table, dict):
+            found.append((name, table))
+            continue
+        if good:
+            source.wrong(key, f"a table [{kind}.NAME]", table)
+        del holder[name]
+    return found
+
+
+def variant_of(
+    draft: Draft, key: str, table: Mapping[str, Any], driver: str
+) -> Variant:
+    real = {name: value for name, value in table.items() if name != "sim"}
+    keys = {name: below(key, name) for name in real}
+    sim = table.get("sim")
+    if "sim" in table and not isinstance(sim, dict):
+        draft.source.wrong(f"{key}.sim", "a table of what replaces the real keys", sim)
+    if not draft.simulated or not isinstance(sim, dict):
+        return Variant(real, keys)
+    inherited: frozenset[str] = frozenset()
+    if driver in sim:  # another class: it has its own keys, and is on its own bus
+        real.pop("bus", None)
+        inherited = frozenset(real) - frozenset(sim)
+    keys.update({name: below(f"{key}.sim", name) for name in sim})
+    return Variant({**real, **sim}, keys, inherited, is_simulated=True)
+
+
+def class_of(
+    draft: Draft, key: str, variant: Variant, field: str, base: type, group: str
+) -> type | None:
+    """Return the class that a table names, or note why it cannot serve."""
+    mistakes = draft.source.mistakes
+    if field not in variant.table:
+        known = ", ".join(map(repr, BUSES)) if base is Bus else "an installed name"
+        mistakes.add(
+            key, f"the key {field!r} is missing: expected {known} or 'module:Class'"
+        )
+        return None
+    name = variant.table[field]
+    where = variant.keys[field]
+    if not isinstance(name, str):
+        draft.source.wrong(where, wanted(str), name)
+        return None
+    found = find_class(
+        name,
+        where,
+        mistakes,
+        group=group,
+        folder=draft.source.folder,
+        kind=(base, _KINDS[base]),
+        built_in=BUSES if base is Bus else None,
+    )
+    if found is None or issubclass(found, (base, _MINIMAL.get(base, base))):
+        return found
+    mistakes.add(where, f"expected {_KINDS[base]}, {name!r} is {_kind_of(found)}")
+    return None
+
+
+_KINDS: Final[Mapping[type, str]] = {
+    Sensor: "a Sensor",
+    Actuator: "an Actuator",
+    ProfiledAction: "a Behavior or Reaction",
+    Bus: "a Bus",
+}
+_MINIMAL: Final[Mapping[type, type]] = {
+    Sensor: minimal.Sensor,
+    Actuator: minimal.Actuator,
+    ProfiledAction: minimal.Reaction,
+}
+"""What was written for a microcontroller serves too; it gets an adapter."""
+
+_PLACES: Final[Mapping[type, str]] = {
+    Sensor: "[sensor.NAME]",
+    Actuator: "[actuator.NAME]",
+    ProfiledAction: "[behavior.NAME]",
+    Bus: "[bus.NAME]",
+}
+
+
+def _kind_of(cls: type) -> str:
+    for base, text in _KINDS.items():
+        if issubclass(cls, base):
+            return f"{text}: its place is {_PLACES[base]}"
+    bases = ", ".join(each.__name__ for each in cls.__bases__)
+    return f"none: its bases are {bases}"
+
 
 _PLAIN: Final = (bool, int, float, str, tuple, frozenset, enum.Enum)
 _NONE: Final[Mapping[str, Any]] = {}
@@ -145,7 +240,7 @@ def keywords_of(cls: type) -> Keywords:
                 parameter.POSITIONAL_OR_KEYWORD,
                 parameter.KEYWORD_ONLY,
             }:
-                kind = hints.get(parameter.name, _kind_of(parameter.default))
+                kind = hints.get(parameter.name, _type_of(parameter.default))
                 required = parameter.default is parameter.empty
                 if parameter.name not in given:
                     found.setdefault(parameter.name, Field(kind, required))
@@ -198,7 +293,7 @@ def _attributes_of(cls: type) -> dict[str, Any]:
         elif isinstance(value, _PLAIN) or (
             value is not None and fields_of(type(value))
         ):
-            found[name] = _kind_of(value)
+            found[name] = _type_of(value)
     return found
 
 
@@ -212,7 +307,7 @@ def _options_of(cls: type) -> Mapping[str, Any]:
     return _CAN if "CanBus" in names else {}
 
 
-def _kind_of(default: object) -> Any:
+def _type_of(default: object) -> Any:
     """Return the type of values that may stand for a default without a type."""
     if type(default) is int:
         return int | float  # ``speed = 1`` does not mean whole numbers only
@@ -316,7 +411,7 @@ def _make(
 FLOWS: Final = ("reads", "writes", "guards")
 """The keys that change the profile of a behavior or reaction."""
 
-_KINDS: Final[Mapping[str, type[Need]]] = {
+_OF_FLOW: Final[Mapping[str, type[Need]]] = {
     "reads": Reads,
     "writes": Writes,
     "guards": Guards,
@@ -370,7 +465,7 @@ def set_profile(
 
 
 def _flow_of(need: Need) -> str:
-    return next(flow for flow, kind in _KINDS.items() if isinstance(need, kind))
+    return next(flow for flow, kind in _OF_FLOW.items() if isinstance(need, kind))
 
 
 def _changed(
@@ -381,7 +476,7 @@ def _changed(
     if not isinstance(changes, dict):
         source.wrong(key, "the name of a resource, or a table", changes)
         return None
-    known = fields_of(_KINDS[flow]) or {}
+    known = fields_of(_OF_FLOW[flow]) or {}
     fields = {n: f.kind for n, f in known.items() if n not in {"type", "attribute"}}
     values: dict[str, Any] = {}
     for field, value in changes.items():
@@ -403,7 +498,7 @@ def _changed(
     if declared is not None:
         changed: Need = attrs.evolve(declared, **values)
         return changed
-    return _KINDS[flow](Any, **values)
+    return _OF_FLOW[flow](Any, **values)
 
 
 def make_bus(draft: Draft, name: str, table: Mapping[str, Any]) -> Bus | None:

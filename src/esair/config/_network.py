@@ -14,11 +14,10 @@ import attrs
 
 from esair.actions import Behavior, declared_requests, is_request
 from esair.config._classes import find_class
-from esair.config._components import construct
+from esair.config._components import construct, named_tables, variant_of
 from esair.config._draft import Draft, Part, Variant
 from esair.config._mistakes import below, dotted, unknown
 from esair.config._source import Source
-from esair.config._tables import named_tables, variant_of
 from esair.config._values import INVALID
 from esair.plan import inner_of
 from esair.resources import APPLIED, Sensor

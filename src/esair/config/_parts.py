@@ -11,14 +11,19 @@ from typing import Any, Final, Literal
 import attrs
 
 from esair.actions import Reaction
-from esair.config._components import keywords_of, make_behavior, make_bus, make_device
+from esair.config._components import (
+    keywords_of,
+    make_behavior,
+    make_bus,
+    make_device,
+    named_tables,
+)
 from esair.config._draft import BEHAVIORS, Draft, Part
 from esair.config._mistakes import below, dotted, show, unknown
 from esair.config._network import TABLES as OF_NETWORK
 from esair.config._network import add_behaviors, add_buses, read_peers
 from esair.config._ros import BUS, add_citizen, read_ros
 from esair.config._source import Source, read_source
-from esair.config._tables import named_tables
 from esair.config._values import INVALID, WORDS, Invalid, make_of
 from esair.exceptions import ConfigError, EsairError, did_you_mean
 from esair.messages import Access, BehaviorsPolicy, Mode, Policy
