@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from esair.exceptions import RecordingBrokenError
-from esair.recording._parts import (
+from esair.recording._reading import (
     MAGIC,
     Fact,
     Message,
@@ -20,8 +20,8 @@ from esair.recording._parts import (
     Topic,
     need_unpackers,
     parts_of,
+    segments_of,
 )
-from esair.recording._reading import segments_of
 
 RECOVERED = "-recovered"
 """What the name of a recovered file has more than that of the original."""
