@@ -79,7 +79,7 @@ def run(main: Any) -> None:
 
 def test_what_really_blocks_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """The thread and the line; the test ends, it does not hang."""
-    monkeypatch.setattr("esair.testing._threads.BLOCKED", 0.15)
+    monkeypatch.setattr("esair.testing._clock.BLOCKED", 0.15)
     arm = Arm()
 
     async def main() -> None:
@@ -100,7 +100,7 @@ def test_a_function_in_a_thread_of_asyncio_is_named_too(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As one of a plain behavior."""
-    monkeypatch.setattr("esair.testing._threads.BLOCKED", 0.15)
+    monkeypatch.setattr("esair.testing._clock.BLOCKED", 0.15)
     go = threading.Event()
 
     async def main() -> None:
@@ -121,7 +121,7 @@ def test_a_path_that_looks_like_a_library_is_named_too(
     file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What counts is where the packages lie."""
-    monkeypatch.setattr("esair.testing._threads.BLOCKED", 0.15)
+    monkeypatch.setattr("esair.testing._clock.BLOCKED", 0.15)
     names: dict[str, Any] = {}
     code = compile("def read(go): go.wait()", str(tmp_path / file), "exec")
     exec(code, names)
@@ -139,7 +139,7 @@ def test_a_path_that_looks_like_a_library_is_named_too(
 
 def test_what_computes_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """However long it takes, time does not pass meanwhile."""
-    monkeypatch.setattr("esair.testing._threads.BLOCKED", 0.15)
+    monkeypatch.setattr("esair.testing._clock.BLOCKED", 0.15)
 
     def compute() -> int:
         end = time.thread_time() + 0.2
@@ -161,7 +161,7 @@ def test_what_computes_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_computes_without_end_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """A driver that asks its part again and again hangs no test."""
-    monkeypatch.setattr("esair.testing._threads.ENDLESS", 0.15)
+    monkeypatch.setattr("esair.testing._clock.ENDLESS", 0.15)
     enough = threading.Event()
 
     def ask() -> None:
@@ -183,7 +183,7 @@ def test_what_computes_without_end_is_named(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_nothing_but_the_outside_can_wake_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is waited for in real time, not for ever."""
-    monkeypatch.setattr("esair.testing._threads.BLOCKED", 0.3)
+    monkeypatch.setattr("esair.testing._clock.BLOCKED", 0.3)
     gamepad = Gamepad()
 
     async def main() -> None:

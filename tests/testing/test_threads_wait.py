@@ -191,7 +191,7 @@ def test_a_call_of_a_thread_waits_for_no_thread(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """It came while the loop was held: the threads come first, and so does what they call."""
-    monkeypatch.setattr("esair.testing._threads.BLOCKED", 1.0)
+    monkeypatch.setattr("esair.testing._clock.BLOCKED", 1.0)
     called = threading.Event()
 
     def work(loop: VirtualLoop) -> bool:

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from esair.buses import MEDIA
 from esair.loading import late
-from esair.testing._clock import DeadlockError, LivelockError, VirtualLoop
+from esair.testing._clock import BlockedError, DeadlockError, LivelockError, VirtualLoop
 from esair.testing._fakes import FakeActuator, FakeSensor
 from esair.testing._leaks import Leaks
-from esair.testing._threads import BlockedError
 
 if TYPE_CHECKING:
     from esair.buses.can import FakeCan
