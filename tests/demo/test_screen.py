@@ -18,8 +18,8 @@ import pytest
 from rich.console import Console
 
 from esair.demo._plan import FloorMap
-from esair.demo._samples import Event
 from esair.demo._show import Drawing, Ending, Screen, perform
+from esair.demo._story import Event
 
 
 def test_the_map_has_north_at_the_top() -> None:

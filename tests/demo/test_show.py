@@ -19,8 +19,8 @@ import esair.demo
 from esair.buses import Frame
 from esair.config import load
 from esair.demo import demo
-from esair.demo._samples import Event
 from esair.demo._show import Ending, Screen, perform
+from esair.demo._story import Event
 from esair.drivers.wheel_motor import (
     LEFT,
     RIGHT,

@@ -17,7 +17,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 
-from esair.demo._samples import Event, Run
+from esair.demo._story import Event, Run
 from esair.sim import Arena
 
 INK, PALE, PAPER, TRUTH = "#22262e", "#8a9099", "#fbfaf7", "#c9a227"

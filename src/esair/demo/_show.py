@@ -30,8 +30,7 @@ from esair.demo._kill import kill as show_deaths
 from esair.demo._mapper import Mapper
 from esair.demo._plan import FloorMap
 from esair.demo._reactions import Bump
-from esair.demo._samples import Event, Run, Witness
-from esair.demo._story import Story
+from esair.demo._story import Event, Run, Story, Witness
 from esair.exceptions import EsairError, RecordingBrokenError, describe
 from esair.loop import TurnLoop, every
 from esair.messages import Recording
