@@ -224,6 +224,23 @@ async def test_a_servo_does_not_turn_by_itself(factory) -> None:
         assert servo.object.it.angle == pytest.approx(45.0)
 
 
+@pytest.mark.parametrize("device", ["Servo", "AngularServo"])
+async def test_a_servo_whose_pins_are_a_list_does_not_turn_by_itself(
+    factory, device
+) -> None:
+    """Its class would have it turn to its middle when it is made."""
+    servo = GpiozeroActuator(name="arm", device=device, arguments=[5])
+    async with esair.Robot(resources=[servo]):
+        assert servo.object.it.value is None
+
+
+def test_a_servo_that_turns_the_other_way_has_the_angles_in_between() -> None:
+    """As in the examples of the package, where the least angle is the greater one."""
+    ends = {"pin": 5, "min_angle": 42, "max_angle": -44}
+    servo = GpiozeroActuator(name="arm", device="AngularServo", arguments=ends)
+    assert servo.limits == (-44.0, 42.0)
+
+
 def test_what_is_not_in_the_table_is_named() -> None:
     """With what is."""
     with pytest.raises(ConfigError, match="expected one of AngularServo, Buzzer"):

@@ -22,6 +22,7 @@ Source: gpiozero 2.0, API of input, output, SPI, internal devices and boards.
 from __future__ import annotations
 
 import errno
+import functools
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -211,15 +212,13 @@ class GpiozeroActuator(MadeActuator):
         told = _known(self, device, TELLS)
         self.safe: Any = told.safe
         self.limits = told.limits if limits is None else limits
-        if not isinstance(arguments, Sequence):
-            arguments = {**told.arguments, **(arguments or {})}
-            if device == "AngularServo" and limits is None:
-                least, most = arguments.get("min_angle"), arguments.get("max_angle")
-                self.limits = (
-                    -90.0 if least is None else float(least),
-                    90.0 if most is None else float(most),
-                )
-        self.object: Made = Made(self, getattr(gpiozero, device), arguments)
+        if device == "AngularServo" and limits is None:  # it may be mounted upside down
+            named = {} if isinstance(arguments, Sequence) else dict(arguments or {})
+            ends = named.get("min_angle", -90), named.get("max_angle", 90)
+            self.limits = float(min(ends)), float(max(ends))
+        # Beside the pins, whichever way those are given.
+        make = functools.partial(getattr(gpiozero, device), **told.arguments)
+        self.object: Made = Made(self, make, arguments)
         self._tell = self.object.telling(told.attribute)
         self.claim: str = f"{device} {arguments or ''}"
 
