@@ -113,6 +113,14 @@ class TestServoThatHolds(TestServo):
     safe = HOLD
 
 
+class TestServoWithAShorterTable(TestServo):
+    """An XL330 or XC330: what the others tell in one block is elsewhere there."""
+
+    def make_bus(self) -> ServoBus:
+        self.fakes = FakeServos({1: FakeServo(), 2: FakeServo(model=1200)})
+        return ServoBus(name="arm", wire=self.fakes)
+
+
 class TestServoVelocity(TestServo):
     def make(self) -> Any:
         return ServoVelocity(id=2, bus=self.make_bus())
@@ -142,6 +150,24 @@ async def bus(fakes: FakeServos) -> AsyncIterator[ServoBus]:
 
 
 SIX = range(1, 7)
+
+
+@pytest.mark.virtual_clock
+async def test_servos_of_both_kinds_of_table_are_on_one_line() -> None:
+    """Each tells its own position, whoever else is asked at the same moment."""
+    models = {1: 1060, 2: 1200, 3: 1020, 4: 1220}
+    fakes = FakeServos(
+        {n: FakeServo(model=models[n], steps=CENTER + 100 * n) for n in models}
+    )
+    bus = ServoBus(name="arm", wire=fakes)
+    places = [ServoPosition(name=f"p{n}", id=n, bus=bus) for n in models]
+    await bus.open()
+    try:
+        await asyncio.gather(*(each.open() for each in places))
+        told = await asyncio.gather(*(each.read() for each in places))
+    finally:
+        await bus.close()
+    assert [to_steps(angle) - CENTER for angle in told] == [100, 200, 300, 400]
 
 
 async def six(fakes: FakeServos) -> tuple[ServoBus, list[Servo], list[ServoPosition]]:

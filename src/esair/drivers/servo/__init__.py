@@ -1,8 +1,9 @@
 """Dynamixel servos of the X series, on their own half-duplex serial line.
 
 Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, and the control table of the
-XL430-W250 (the same for all of the X series as far as it is used here); checksums and what
-a servo complains of are those of the maker's ``dynamixel-sdk``.
+XL430-W250 (the same for all of the X series as far as it is used here, but that XL330 and
+XC330 have their indirect data elsewhere); checksums and what a servo complains of are those
+of the maker's ``dynamixel-sdk``.
 
 The bus is one of its own kind, because master and servos take turns on one wire::
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import collections
 import contextlib
 import contextvars
 import enum
@@ -210,6 +211,12 @@ DYNAMIXEL_X: Final = Table(
 )
 """The X series of ROBOTIS: the control table of the XL430-W250."""
 
+X330: Final = frozenset({1190, 1200, 1210, 1220, 1230, 1240})
+"""The models of XL330 and XC330, whose table ends earlier."""
+
+X330_LOOK: Final = Entry(208, 10)
+"""What is read of them for a `Snapshot`."""
+
 FEETECH_STS: Final = Table(
     torque=40,
     mode=33,
@@ -337,6 +344,8 @@ class ServoBus(SerialBus):
         self._batches: dict[bool, dict[Key, Batch]] = {}
         """What is gathered, apart for what is urgent: that waits for no other."""
         self._snapshots: dict[int, tuple[float, Snapshot]] = {}
+        self._looks: dict[int, Entry] = collections.defaultdict(lambda: self.table.look)
+        """What is read of each servo for a `Snapshot`."""
 
     def packet(self, servo: int, address: int, value: int, size: int = 1) -> bytes:
         """Return the packet that writes one entry and wants no answer: a sync write."""
@@ -353,7 +362,9 @@ class ServoBus(SerialBus):
             DriverStuckError: It took too long.
         """
         told = await self._request(servo, "ping", bytes([PING]))
-        return int.from_bytes(told[:2], "little")
+        model = int.from_bytes(told[:2], "little")
+        self._looks[servo] = X330_LOOK if model in X330 else self.table.look
+        return model
 
     async def read(self, servo: int, address: int, size: int) -> int:
         """Return an entry of a servo's control table of 1, 2 or 4 bytes.
@@ -397,7 +408,7 @@ class ServoBus(SerialBus):
         time, known = self._snapshots.get(servo, (-math.inf, None))
         if known is not None and now() - time < max_age:
             return known
-        look = self.table.look
+        look = self._looks[servo]
         return self.table.snapshot(await self.read(servo, look.address, look.size))
 
     def _at(self, *numbers: int) -> bytes:
@@ -456,7 +467,7 @@ class ServoBus(SerialBus):
         except Exception as error:
             made = dict.fromkeys(asked, error)
         for servo, found in made.items():
-            if key == (Kind.READ, *self.table.look[:2]) and isinstance(found, int):
+            if key == (Kind.READ, *self._looks[servo][:2]) and isinstance(found, int):
                 self._snapshots[servo] = now(), self.table.snapshot(found)
         for servo, _, future in live:
             result = made[servo]

@@ -27,6 +27,8 @@ from esair.drivers.servo._bus import (
     SYNC_READ,
     SYNC_WRITE,
     WRITE,
+    X330,
+    X330_LOOK,
     Packets,
 )
 from esair.framing import Framing
@@ -43,8 +45,6 @@ LIMIT_ERROR = 6
 STRONGEST, FASTEST, GREATEST, LEAST = 38, 44, 48, 52
 """Where the table has them."""
 
-TABLE_SIZE = 252
-
 MAP, MAPPED = 168, 224
 """Where the table has 28 addresses, and where it has what is at them."""
 
@@ -58,13 +58,15 @@ class FakeServo:
     """One servo: a control table, and a shaft that is at its goal at once.
 
     Attributes:
-        model: The model number; 1060 is an XL430-W250.
+        model: The model number; 1060 is an XL430-W250, 1200 an XL330-M288.
         table: The control table, as bytes.
         shut_down: The bits of its hardware error; 0 while it works.
     """
 
     def __init__(self, *, model: int = 1060, steps: int = CENTER) -> None:
         self.model = model
+        self._mapped = X330_LOOK.address if model in X330 else MAPPED
+        self._size = self._mapped + (self._mapped - MAP) // 2
         self._start(mode=3, steps=steps)
 
     def power_cycle(self) -> None:
@@ -72,10 +74,10 @@ class FakeServo:
         self._start(mode=self.table[OPERATING_MODE], steps=self.get(PRESENT_POSITION))
 
     def _start(self, mode: int, steps: int) -> None:
-        self.table: bytearray = bytearray(TABLE_SIZE)
+        self.table: bytearray = bytearray(self._size)
         self.table[OPERATING_MODE] = mode
-        for place in range(28):
-            self.table[MAP + 2 * place] = MAPPED + place
+        for place in range(self._size - self._mapped):
+            self.table[MAP + 2 * place] = self._mapped + place
         self.shut_down = 0
         self.put(STRONGEST, 2047)
         self.put(FASTEST, 265)
@@ -98,10 +100,10 @@ class FakeServo:
 
     def _at(self, address: int) -> int:
         """Return where a byte really is, which is another place if it is mapped."""
-        if address < MAPPED:
+        if address < self._mapped:
             return address
-        place = MAP + 2 * (address - MAPPED)
-        return int.from_bytes(self.table[place : place + 2], "little") % TABLE_SIZE
+        place = MAP + 2 * (address - self._mapped)
+        return int.from_bytes(self.table[place : place + 2], "little") % self._size
 
     def _takes(self, address: int) -> tuple[float, float]:
         if address == GOAL_POSITION and self.table[OPERATING_MODE] == 3:
@@ -119,11 +121,11 @@ class FakeServo:
         address = int.from_bytes(parameters[:2], "little")
         if instruction == READ:
             size = int.from_bytes(parameters[2:4], "little")
-            if address + size > TABLE_SIZE:
+            if address + size > self._size:
                 return bytes([error | ACCESS_ERROR])
             told = (self.table[self._at(address + n)] for n in range(size))
             return bytes([error, *told])
-        if instruction != WRITE or address + len(parameters) - 2 > TABLE_SIZE:
+        if instruction != WRITE or address + len(parameters) - 2 > self._size:
             return bytes([error | ACCESS_ERROR])
         if address == OPERATING_MODE and self.torque:
             return bytes([error | ACCESS_ERROR])
