@@ -13,6 +13,7 @@ from esair.drivers.mpu6050 import (
     GRAVITY,
     GYRO_CONFIG,
     PWR_MGMT_1,
+    SMPLRT_DIV,
     Motion,
     Mpu6050,
     decode_motion,
@@ -83,6 +84,20 @@ async def test_opening_wakes_the_chip_and_sets_its_ranges() -> None:
     assert chip.read(PWR_MGMT_1, 1)[0] & 0x40 == 0
     assert chip.read(GYRO_CONFIG, 2) == bytes([2 << 3, 2 << 3])
     assert motion.acceleration[2] == pytest.approx(GRAVITY, abs=0.003)
+
+
+@pytest.mark.virtual_clock
+async def test_what_another_program_has_left_in_the_chip_is_gone() -> None:
+    """Its axes rest, or it samples four times a second: readings would be old."""
+    chip = FakeMpu6050()
+    chip.write(SMPLRT_DIV, b"\xff\x06")
+    chip.write(PWR_MGMT_1, b"\x01\x3f")
+    imu = await sensor_on(chip)
+
+    await imu.open()
+
+    assert chip.read(SMPLRT_DIV, 2) == bytes(2)
+    assert chip.read(PWR_MGMT_1, 2) == b"\x01\x00"
 
 
 @pytest.mark.virtual_clock

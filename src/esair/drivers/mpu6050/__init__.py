@@ -20,6 +20,7 @@ from esair.resources import Sensor, SensorSettings, setting
 __all__ = ["Motion", "Mpu6050", "decode_motion", "encode_motion"]
 
 ADDRESS = 0x68
+SMPLRT_DIV = 0x19
 GYRO_CONFIG = 0x1B
 ACCEL_CONFIG = 0x1C
 ACCEL_XOUT_H = 0x3B
@@ -32,8 +33,9 @@ IDENTITY = 0x68
 SLEEP = 0x40
 """The bit of ``PWR_MGMT_1`` that is set after power-up."""
 
-CLOCK_FROM_GYRO = 0x01
-"""``PWR_MGMT_1``: awake, with the clock of the gyroscope, as the maker recommends."""
+AWAKE = b"\x01\0"
+"""``PWR_MGMT_1``, with the clock of the gyroscope, as the maker recommends; and that no axis
+rests."""
 
 ACCEL_SCALE = 16384.0
 """Counts for each g, at ``AFS_SEL`` 0; half with each step."""
@@ -132,8 +134,8 @@ class Mpu6050(OnChip, Sensor[Motion]):
         """Check that it is the chip, wake it and set its ranges."""
         await self._identify()
         self._quiet = asyncio.Lock()
-        if await self._get(PWR_MGMT_1) != CLOCK_FROM_GYRO:
-            await self._put(PWR_MGMT_1, CLOCK_FROM_GYRO)
+        if await self.bus.read(self.address, PWR_MGMT_1, 2) != AWAKE:
+            await self._put(PWR_MGMT_1, *AWAKE)
             await asyncio.sleep(STARTING)
         await self._set_up(**self.settings)
 
@@ -151,15 +153,16 @@ class Mpu6050(OnChip, Sensor[Motion]):
 
     async def is_set_up(self) -> bool:
         """Tell whether it is awake and has its ranges, which a restart forgets."""
-        power = await self._get(PWR_MGMT_1)
+        power = await self.bus.read(self.address, PWR_MGMT_1, 2)
         ranges = await self.bus.read(self.address, GYRO_CONFIG, 2)
         told = bytes([self._gyro_step << 3, self._accel_step << 3])
-        return power == CLOCK_FROM_GYRO and ranges == told
+        return power == AWAKE and ranges == told
 
     async def _set_up(self, *, gyro_range: int, accel_range: int, **_: Any) -> None:
         gyro_step = (250, 500, 1000, 2000).index(gyro_range)
         accel_step = (2, 4, 8, 16).index(accel_range)
         async with self._quiet:
-            await self._put(GYRO_CONFIG, gyro_step << 3, accel_step << 3)
+            # Every sample, unfiltered: another program may have left it slow.
+            await self._put(SMPLRT_DIV, 0, 0, gyro_step << 3, accel_step << 3)
             self._gyro_step, self._accel_step = gyro_step, accel_step
             await asyncio.sleep(SAMPLE)
