@@ -13,6 +13,8 @@ from tests.drivers.parts import OnChip
 
 import esair
 from esair.drivers.pca9685 import (
+    MODE2,
+    OUTDRV,
     PwmChannel,
     decode_steps,
     encode_steps,
@@ -123,6 +125,19 @@ async def test_a_chip_that_had_no_power_is_set_up_again() -> None:
 
     assert chip.duty(0) == 0.5
     assert chip.frequency == pytest.approx(1000.0, rel=0.02)
+
+
+@pytest.mark.virtual_clock
+async def test_a_chip_that_was_left_inverted_is_set_up_anew() -> None:
+    """Awake and at the same frequency; all that is off would be on."""
+    chip = FakePca9685()
+    lamp = PwmChannel(channel=0)
+    await actuators_on(chip, lamp)
+    chip.write(MODE2, bytes([OUTDRV | 0x10]))
+
+    await lamp.open()
+
+    assert chip.read(MODE2, 1) == bytes([OUTDRV])
 
 
 @pytest.mark.virtual_clock

@@ -203,7 +203,8 @@ class OnChannel(OnChip, Actuator[T]):
         """Wake the chip and set its frequency, if nobody has; that stops all channels."""
         address, wanted = self.address, prescale(self.frequency)
         found = link.read_byte_data(address, PRE_SCALE)
-        if not self._is_awake(link) or found != wanted:
+        mode = link.read_byte_data(address, MODE2)  # inverted, what is off is on
+        if not self._is_awake(link) or (found, mode) != (wanted, OUTDRV):
             link.write_byte_data(address, MODE1, AUTO_INCREMENT | SLEEP)
             link.write_byte_data(address, PRE_SCALE, wanted)
             link.write_byte_data(address, MODE2, OUTDRV)
