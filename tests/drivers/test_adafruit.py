@@ -135,17 +135,23 @@ async def test_all_that_is_on_a_part_notices_that_it_has_restarted() -> None:
 
 
 @pytest.mark.virtual_clock
-async def test_a_part_has_one_set_up() -> None:
+@pytest.mark.parametrize("address", [None, 0x68])
+async def test_a_part_has_one_set_up(address: int | None) -> None:
     """Each opening would undo the other's for ever; the second one says so."""
     bus = FakeI2c(chips={0x68: FakeMpu6050(FELT)})
 
-    def part(value: str, wanted: int) -> AdafruitSensor:
+    def part(value: str, wanted: int, address: int | None = None) -> AdafruitSensor:
         told = {"gyro_range": wanted, "sleep": False}
         return AdafruitSensor(
-            name=value, library=MPU6050, value=value, set_up=told, bus=bus
+            name=value,
+            library=MPU6050,
+            address=address,
+            value=value,
+            set_up=told,
+            bus=bus,
         )
 
-    parts = [part("acceleration", 1), part("gyro", 2)]
+    parts = [part("acceleration", 1), part("gyro", 2, address)]
     async with esair.Robot(resources=parts) as robot:
         await asyncio.sleep(10.0)
         first, second = (robot.resources.query(part.name) for part in parts)

@@ -69,6 +69,20 @@ def test_one_thing_has_one_actuator(tmp_path, bus, part, told) -> None:
     assert "belongs to 'left'" in message
 
 
+@pytest.mark.parametrize(
+    ("said", "count"),
+    [
+        ("address = 0x77", 1),
+        ("arguments = { address = 0x77 }", 1),
+        ("address = 0x76", 0),
+    ],
+)
+def test_the_address_that_a_class_has_unless_told_is_one(tmp_path, said, count) -> None:
+    """A part is the same whether its address is said or not."""
+    part = f'{DAC}\nattribute = "sea_level_pressure"'
+    assert len(mistakes(tmp_path, I2C, part, f"{part}\n{said}")) == count
+
+
 def test_frames_of_two_kinds_are_two_things(tmp_path) -> None:
     """A standard and an extended identifier may have one number."""
     file = tmp_path / "two.dbc"

@@ -32,6 +32,7 @@ Source: the API of ``busio`` of CircuitPython, and of adafruit_bus_device 5.2.
 from __future__ import annotations
 
 import contextlib
+import inspect
 import math
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -300,17 +301,21 @@ class _OnPart(OnObject):
             told = "on an SPI bus chip= is needed, and only there; address= is of I²C"
             raise ConfigError(self.name, "chip", told)
         self._chip = chip
-        self._place = address, chip, library
         self.told: dict[str, Any] = dict(set_up or {})
         """What the part is told at each opening."""
+        named = {
+            **(arguments or {}),
+            **({} if address is None else {"address": address}),
+        }
         self.object = Made(
             self,
             library,
-            {**(arguments or {}), **({} if address is None else {"address": address})},
+            named,
             set_up,
             hint="Adafruit's packages are named adafruit-circuitpython-...",
             around=self._alone,
         )
+        self._place = library, chip if is_spi else _address(self.object.make, named)
         self._wire: AdafruitBus | AdafruitSpi | None = None
         self._kept: dict[str, Any] = {}
 
@@ -464,14 +469,22 @@ class AdafruitActuator(_OnPart, MadeActuator):
         self.safe = safe
         self.limits: tuple[float, float] | None = limits
         self._tell = self.object.telling(attribute)
-        address = settings.get("address")
-        where = "" if address is None else f" at {address:#04x}"
-        where += "" if self._chip is None else f" at {self._chip}"
-        self.claim: str = f"{attribute} of {settings['library']}{where}"
+        library, place = self._place
+        where = "" if place is None else f" at {place:#04x}"
+        self.claim: str = f"{attribute} of {library}{where}"
 
 
 class _Part(list[_OnPart]):
     """All that is on one part, and open."""
+
+
+def _address(make: Callable[..., Any], named: Mapping[str, Any]) -> int | None:
+    """Return the address of a part, which its class may have unless told another."""
+    with contextlib.suppress(TypeError, ValueError):  # some cannot tell
+        takes = inspect.signature(make).parameters.items()
+        named = {**{name: each.default for name, each in takes}, **named}
+    found = named.get("address", named.get("addr"))
+    return found if type(found) is int else None
 
 
 def _restarted(part: Resource) -> DeviceLostError:

@@ -181,7 +181,8 @@ class Made:
     ) -> None:
         self._owner = owner
         self._around = around
-        self._make = self._called(library, hint)
+        self.make: Callable[..., Any] = self._called(library, hint)
+        """What is called and makes the object."""
         is_list = isinstance(arguments, Sequence)
         self._listed = tuple(arguments) if isinstance(arguments, Sequence) else ()
         self._named = {} if is_list else dict(arguments or {})
@@ -211,7 +212,7 @@ class Made:
     def open(self, *first: Any) -> None:
         """Make the object, with what comes before its arguments, and set it up."""
         self.close()
-        self.it = self.use(lambda: self._make(*first, *self._listed, **self._named))
+        self.it = self.use(lambda: self.make(*first, *self._listed, **self._named))
         for path, value in self.set_up.values():
             self.use(path.put, self.it, value)
 
