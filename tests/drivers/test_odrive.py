@@ -169,6 +169,25 @@ async def write(robot: esair.Robot, command: float) -> None:
     await asyncio.sleep(0.001)  # until the frames have arrived
 
 
+@pytest.mark.parametrize("control", ["velocity", "position", "torque"])
+async def test_its_watchdog_is_fed_at_rest_and_not_in_motion(
+    rig: Any, control: str
+) -> None:
+    """It would disarm the axis and be an error, each time that nobody moves it."""
+    _, fake, axis = rig(watchdog=0.25, control=control)
+    axis.own_timeout = 0.25
+    async with robot_with(axis) as robot:
+        await write(robot, 1.0)
+        await asyncio.sleep(5.0)
+        assert (fake.is_armed, fake.errors) == (True, 0)
+        assert robot.resources.query("odrive_axis").losses == 0
+
+        before = len(fake.inputs)
+        await write(robot, 2.0)
+        await asyncio.sleep(0.15)
+        assert fake.inputs[before:] == pytest.approx([2.0])
+
+
 async def test_a_beat_that_waits_behind_an_estimate_is_in_time(fake_can: Any) -> None:
     """The event loop was held up until the next beat was due."""
     wire = fake_can("drive")

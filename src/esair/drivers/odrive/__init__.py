@@ -3,7 +3,8 @@
 The axis is set up with the maker's tools: calibrated, with its node id, its limits, and
 the rates at which it tells its heartbeat and its encoder estimates. Set its watchdog
 too (``axis.config.watchdog_timeout`` and ``enable_watchdog``) and say so with
-``own_timeout``: nothing else stops the motor when this computer dies.
+``own_timeout``: nothing else stops the motor when this computer dies. It is fed at rest, too,
+with each heartbeat; it is to be twice as long as that.
 
 Source: ODrive documentation, "CAN Protocol" (CANSimple), firmware 0.6; the names of the
 messages and of the error bits are those of that page. The controller counts in turns;
@@ -24,7 +25,7 @@ import attrs
 
 from esair.buses import CanBus, Inbox
 from esair.buses import Frame as CanFrame
-from esair.drivers._on_bus import ended, heard, watching
+from esair.drivers._on_bus import ended, heard, room_comes, watching
 from esair.exceptions import (
     BadValueError,
     ConfigError,
@@ -435,6 +436,8 @@ class OdriveAxis(_OnAxis, Actuator[float]):
         """When it was told to enter closed loop control; None if it was not."""
         self._holds = False
         """Whether it is kept where it is, at velocity 0 instead of at a position."""
+        self._rest: tuple[Message, bytes] | None = None
+        """The input that it was told last, if that was safe."""
         self._confirmed = False
         self._watching: asyncio.Task[None] | None = None
 
@@ -458,6 +461,7 @@ class OdriveAxis(_OnAxis, Actuator[float]):
 
     async def open(self) -> None:
         """Make sure that it is there and without errors; it is not armed by that."""
+        self._rest = None
         inbox = self._frames(Message.HEARTBEAT, limit=4)
         try:
             beats = self._beats(inbox)
@@ -506,7 +510,8 @@ class OdriveAxis(_OnAxis, Actuator[float]):
             await self._hold()  # means nothing to one that is not armed
             return
         message, data = encode_input(self.control, command)
-        if command == self.safe:
+        self._rest = (message, data) if command == self.safe else None
+        if self._rest is not None:
             await self._send(message, data)
             await self._let_go()
             if self.idle:
@@ -525,7 +530,7 @@ class OdriveAxis(_OnAxis, Actuator[float]):
         await self._let_go()
 
     async def _hold(self) -> None:
-        self._holds = True
+        self._holds, self._rest = True, _HELD[1]
         for message, data in _HELD:
             await self._send(message, data)
 
@@ -556,6 +561,9 @@ class OdriveAxis(_OnAxis, Actuator[float]):
         try:
             async for heartbeat in self._beats(inbox):
                 self._check_state(heartbeat)
+                if self._rest is not None and self.own_timeout is not None:
+                    with room_comes():  # or its watchdog would disarm it at rest
+                        await self._send(*self._rest)
         finally:
             self._armed_at = None
 
