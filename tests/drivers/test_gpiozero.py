@@ -123,6 +123,19 @@ async def test_each_sensor_is_read(device, factory) -> None:
     assert isinstance(value, bool | int | float | tuple)
 
 
+async def test_an_encoder_counts_without_an_end(factory) -> None:
+    """The class has its count stay at 16, as if the wheel stood still."""
+    wheel = GpiozeroSensor(
+        name="wheel", device="RotaryEncoder", arguments={"a": 5, "b": 6}
+    )
+    async with esair.Robot(resources=[wheel], policies=[free("wheel")]) as robot:
+        right = await robot.resources.register("me", "wheel", esair.Access.READ)
+        for _ in range(40):
+            for pin, level in ((5, "low"), (6, "low"), (5, "high"), (6, "high")):
+                getattr(factory.pin(pin), f"drive_{level}")()
+        assert abs((await robot.sensors.read(right, fresh=True)).value) == 40
+
+
 @pytest.mark.fault("D15")
 @pytest.mark.parametrize("partial", [True, False])
 async def test_a_distance_without_an_echo_is_none(factory, partial) -> None:

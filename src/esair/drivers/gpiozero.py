@@ -153,10 +153,18 @@ class EchoSensor(gpiozero.DistanceSensor):  # type: ignore[misc]  # it is not ty
         raise OSError(errno.EIO, "no echo comes: is it connected?")
 
 
+_MADE: Final[Mapping[str, Any]] = {
+    "DistanceSensor": EchoSensor,
+    # Its count would stay at 16, though the wheel turns on.
+    "RotaryEncoder": functools.partial(gpiozero.RotaryEncoder, max_steps=0),
+}
+
+
 class GpiozeroSensor(MadeSensor):
     """A sensor of gpiozero.
 
-    A ``DistanceSensor`` without an echo for 0.5 s is at fault.
+    A ``DistanceSensor`` without an echo for 0.5 s is at fault. A ``RotaryEncoder`` counts
+    without an end unless it is given ``max_steps``.
 
     Args:
         device: Its class, one of `READS`.
@@ -174,7 +182,7 @@ class GpiozeroSensor(MadeSensor):
     ) -> None:
         super().__init__(**settings)
         value = _known(self, device, READS)
-        made = EchoSensor if device == "DistanceSensor" else getattr(gpiozero, device)
+        made = _MADE.get(device) or getattr(gpiozero, device)
         self._reads(Made(self, made, arguments), value, limits)
 
     def read(self) -> Any:
