@@ -73,6 +73,20 @@ def packets(make: Any, message: str, **keywords: Any) -> DbcActuator:
     )
 
 
+async def test_what_the_file_does_not_describe_is_asked_nothing(
+    make: Any, wire: Any
+) -> None:
+    """Bits of nothing are ones (SAE J1939-71); zeros would be commands of their own."""
+    engine = torque(make)
+    await wire.open()
+    await engine.open()
+    await engine.write(1000.0)
+    await asyncio.sleep(0.01)
+    assert wire.sent[-1].data == bytes.fromhex("ff401fffffffffff")
+    await engine.close()
+    await wire.close()
+
+
 def claims(wire: Any) -> list[tuple[int, int]]:
     """The addresses and the NAMEs that the robot said it has."""
     return [

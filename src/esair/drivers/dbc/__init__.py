@@ -157,8 +157,9 @@ class MessageCodec:
         Raises:
             FrameError: A signal is missing, or its value does not fit.
         """
+        ones = is_j1939(self.message)  # where nothing is, nothing is asked for
         try:
-            return self.message.encode(values).ljust(self.size, b"\0")
+            return self.message.encode(values, padding=ones).ljust(self.size, b"\0")
         except (CantoolsError, ValueError, KeyError, TypeError) as error:
             raise FrameError(f"{self.message.name}: {describe(error)}") from error
 
