@@ -34,7 +34,7 @@ from esair.loading import of_extra
 from esair.resources import Sensor, SensorSettings
 
 with of_extra("gps"):
-    from pynmeagps import NMEAReader, exceptions  # type: ignore[import-untyped]
+    from pynmeagps import NMEAReader  # type: ignore[import-untyped]
 
 __all__ = ["Fix", "FixBuilder", "Gps"]
 
@@ -52,16 +52,6 @@ PARSE_COST = 80.0
 
 APART = 3
 """After how many moments in a row that stayed incomplete each sentence is a fix."""
-
-_ERRORS = (
-    exceptions.NMEAMessageError,
-    exceptions.NMEAParseError,
-    exceptions.NMEATypeError,
-    exceptions.NMEAStreamError,
-    ValueError,
-    TypeError,
-    AttributeError,
-)
 
 
 @attrs.frozen
@@ -164,7 +154,7 @@ class FixBuilder:
                 if kind == "GGA" and message.quality <= 0:
                     self._none()
                     return None
-            except _ERRORS:
+            except Exception:  # it parses what a stranger sends
                 self._count_bad(len(self._found))
                 del self._found[kind]
             else:
@@ -209,7 +199,7 @@ class FixBuilder:
                 if rmc is not None and isinstance(rmc.date, datetime.date)
                 else place.time,
             )
-        except _ERRORS:
+        except Exception:  # so do its fields
             return None
         return fix
 

@@ -30,10 +30,15 @@ class _Turned(Torqued[float]):
 
     safe: float = 0.0
 
-    limits: tuple[float, float]
     _entry: Entry
     _greatest: Entry | None
-    _unit: float
+
+    def _turns(self, entry: Entry, unit: float, limits: tuple[float, float]) -> None:
+        """Have the number in an entry of the table, in units of that."""
+        self._entry, self._unit = entry, unit
+        most = ((1 << 8 * entry.size - 1) - 1) * unit
+        within = narrowed(self.name, "limits", limits, (-most, most), by="a servo")
+        self.limits: tuple[float, float] = within
 
     def safe_frames(self) -> SafeFrames:
         """The number that is safe."""
@@ -80,12 +85,9 @@ class ServoVelocity(_Turned):
         **settings: Unpack[TorquedSettings],
     ) -> None:
         super().__init__(**settings)
-        self._entry = self.bus.table.velocity
-        self._greatest = self.bus.table.fastest
-        self._unit = self.bus.table.velocity_unit
-        most = ((1 << 8 * self._entry.size - 1) - 1) * self._unit
-        within = narrowed(self.name, "limits", limits, (-most, most), by="a servo")
-        self.limits: tuple[float, float] = within
+        table = self.bus.table
+        self._greatest = table.fastest
+        self._turns(table.velocity, table.velocity_unit, limits)
 
 
 class ServoCurrent(_Turned):
@@ -113,12 +115,8 @@ class ServoCurrent(_Turned):
         table = self.bus.table
         if table.current is None:
             raise ConfigError(self.name, "bus", "its servos have no current mode")
-        self._entry = table.current
         self._greatest = table.strongest
-        unit = table.current_unit if unit is None else unit
-        if not 0 < unit < 1:
+        self.unit = table.current_unit if unit is None else unit
+        if not 0 < self.unit < 1:
             raise ConfigError(self.name, "unit", f"expected A, above 0, not {unit!r}")
-        if max(map(abs, limits)) > unit * 0x7FFF:
-            raise ConfigError(self.name, "limits", f"a servo has less than {limits!r}")
-        self.unit = self._unit = unit
-        self.limits: tuple[float, float] = limits
+        self._turns(table.current, self.unit, limits)
