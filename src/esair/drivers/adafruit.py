@@ -327,22 +327,20 @@ class _OnPart(OnObject):
     def open(self) -> None:
         """Have the driver set the part up; on the thread of the bus."""
         bus = self.bus
-        first: tuple[AdafruitSpi, ...] = ()
-        wire: AdafruitBus | AdafruitSpi
+        wires: tuple[AdafruitBus | AdafruitSpi, ...]
         if isinstance(bus, SpiBus):
             assert self._chip is not None
-            wire = AdafruitSpi(bus, self._chip)
-            first = (wire,)  # which is its chip select, too
+            wires = (AdafruitSpi(bus, self._chip),) * 2  # it is its chip select, too
         else:
-            wire = AdafruitBus(bus)
-        self._wire = wire
+            wires = (AdafruitBus(bus),)
+        self._wire = wire = wires[0]
         for other in self._others():
             if other.told and self.told not in ({}, other.told):
                 told = f"expected that of {other.name!r}, {other.told!r:.80}: a part has one"
                 raise ConfigError(self.name, "set_up", told)
         self._look_at_others()  # what follows hides a restart from them
         try:
-            self.object.open(wire, *first)
+            self.object.open(*wires)
             for text, (path, _) in self.object.set_up.items():
                 before = wire.transfers
                 self._kept[text] = self.object.get(path)

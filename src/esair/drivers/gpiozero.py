@@ -45,7 +45,7 @@ T = TypeVar("T")
 
 Limits = tuple[float, float] | Mapping[str, tuple[float, float]] | None
 
-_ADC = "MCP3001 MCP3002 MCP3004 MCP3008 MCP3201 MCP3202 MCP3204 MCP3208"
+_ADC = "3001 3002 3004 3008 3201 3202 3204 3208 3301 3302 3304"
 
 READS: Final[Mapping[str, str]] = {
     "Button": "is_pressed",
@@ -57,10 +57,7 @@ READS: Final[Mapping[str, str]] = {
     "LightSensor": "value",
     "LineSensor": "value",
     "LoadAverage": "load_average",
-    **dict.fromkeys(_ADC.split(), "value"),
-    "MCP3301": "value",
-    "MCP3302": "value",
-    "MCP3304": "value",
+    **{f"MCP{number}": "value" for number in _ADC.split()},
     "MotionSensor": "motion_detected",
     "PingServer": "is_active",
     "RotaryEncoder": "steps",

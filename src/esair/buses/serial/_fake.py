@@ -153,23 +153,19 @@ class MemoryLine(FarLine):
         super().__init__()
         self.name = name
         self._link: _MemoryLink | None = None
-        self._plugged = False
-        self._room: int | None = None
-
-    @property
-    def plugged(self) -> bool:
+        self.plugged: bool = False
         """Whether the port is there."""
-        return self._plugged
+        self._room: int | None = None
 
     def plug(self) -> None:
         """Let the port appear; nothing happens if it is there."""
-        if not self._plugged:
-            self._plugged = True
+        if not self.plugged:
+            self.plugged = True
             self._tell_plugged()
 
     def unplug(self) -> None:
         """Let the port vanish, as a pulled cable does."""
-        self._plugged = False
+        self.plugged = False
         self._break_off(os_error(errno.EIO))
 
     def hang_up(self) -> None:
@@ -203,7 +199,7 @@ class MemoryLine(FarLine):
         port: Callable[[str], Awaitable[SerialLink]] | None = None,
     ) -> SerialLink:
         """Open the robot's end."""
-        if not self._plugged:
+        if not self.plugged:
             raise DeviceLostError(self.name, "nothing is plugged in")
         if self._link is not None and not self._link.is_closing():
             raise DeviceLostError(self.name, "somebody else has the line")
@@ -226,7 +222,7 @@ class MemoryLine(FarLine):
         return len(taken)
 
     def _obey(self, data: bytes) -> None:
-        if self._plugged:
+        if self.plugged:
             self.heard(data)
 
 
