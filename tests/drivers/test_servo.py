@@ -600,6 +600,21 @@ async def test_its_speed_is_a_setting(bus: ServoBus, fakes: FakeServos) -> None:
 
 
 @pytest.mark.virtual_clock
+async def test_a_speed_that_would_be_a_time_is_not_told(
+    fakes: FakeServos, bus: ServoBus
+) -> None:
+    """Another program has left the drive mode so: 1 rad/s would be 42 ms for any way."""
+    servo = Servo(id=1, safe=RELEASE, bus=bus)
+    fakes.servos[1].table[10] = 4
+    await bus.open()
+    await servo.open()
+    with pytest.raises(DeviceFaultError, match="takes a speed for a time"):
+        await servo.apply(speed=1.0)
+    assert fakes.servos[1].get(PROFILE_VELOCITY) == 0
+    await servo.apply(speed=0.0)
+
+
+@pytest.mark.virtual_clock
 @pytest.mark.promise("ROB-2")
 @pytest.mark.parametrize("safe", [RELEASE, HOLD])
 async def test_a_robot_leaves_it_safe(

@@ -136,6 +136,8 @@ class Table(NamedTuple):
         lock: What keeps its mode from being changed; None if nothing does.
         fastest: The greatest velocity that it takes; None if it takes any.
         strongest: The greatest current that it takes; None if it takes any.
+        drive: Its drive mode, a bit of which makes a time of the speed; None if it has
+            none.
     """
 
     torque: int
@@ -157,6 +159,7 @@ class Table(NamedTuple):
     lock: int | None = None
     fastest: Entry | None = None
     strongest: Entry | None = None
+    drive: int | None = None
 
     @property
     def places(self) -> list[int]:
@@ -208,6 +211,7 @@ DYNAMIXEL_X: Final = Table(
     light=65,
     fastest=Entry(44, 4),
     strongest=Entry(38, 2),
+    drive=10,
 )
 """The X series of ROBOTIS: the control table of the XL430-W250."""
 
