@@ -586,7 +586,7 @@ class Loop:
         self.ages.append(aged)
         if _COMPUTER and not hasattr(part, "rate"):  # an actuator of STD
             part.rate = None
-        task.pace = _ms(part.rate or 0) or self.every
+        task.pace = _ms(part.rate or self.every / 1000)
         if task.pace < self.every:
             task.phase = self.every
             self.pace.append(task)

@@ -457,6 +457,12 @@ def rule_a_reaction_knows_the_time():
     assert late.times == [(40, 0), (80, 40)], late.times
 
 
+def rule_a_rate_of_once_in_an_hour_is_not_that_of_the_loop():
+    timed = Timed(1 / 3600)
+    told_by([1], 11, timed)
+    assert timed.times == [(0, 0)], timed.times
+
+
 def rule_a_block_of_ten_minutes_costs_no_sleep():
     """Steps that were missed are skipped, and the next one is a period away."""
     slept = []

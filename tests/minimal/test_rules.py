@@ -204,6 +204,15 @@ def test_a_reaction_is_no_quicker_than_its_loop() -> None:
     assert "rate: expected Hz > 0, at most 50, not 100" in text
 
 
+def test_a_part_that_comes_less_than_twice_in_an_hour_is_refused() -> None:
+    """The loop counts thousandths of Hz: it would have no turn, or each."""
+    rare = rules.Go()
+    rare.rate = 1 / 3600
+
+    text = found_in([rare], [rules.Sonar(1)], [rules.Motor()])
+    assert "rate: expected Hz >= 0.001, as MIN counts them, not 0.00027" in text
+
+
 def test_two_ports_for_one_actuator_are_refused() -> None:
     """A board has one decision of each reaction for an actuator."""
 

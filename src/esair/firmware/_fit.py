@@ -140,6 +140,8 @@ def mistakes_in(part: Any, rate: float) -> Mistakes:
 def _number(field: str, value: Any, most: float, unit: str = "seconds") -> Mistakes:
     if not 0 < value <= most * 1.0001:
         yield field, f"expected {unit} > 0, at most {most:g}, not {value!r}"
+    elif round(value * 1000) == 0:
+        yield field, f"expected {unit} >= 0.001, as MIN counts them, not {value!r}"
 
 
 def _in_actuator(part: Any, rate: float) -> Mistakes:
