@@ -14,6 +14,7 @@ from esair.cli import main
 from esair.config import load
 from esair.exceptions import ConfigError
 from esair.firmware.c import build
+from esair.firmware.c._scope import in_c
 
 pytestmark = [pytest.mark.promise("MIN-7"), pytest.mark.real_clock]
 
@@ -228,6 +229,16 @@ def test_wrong_words_are_told_and_nothing_is_written(tmp_path, said, options) ->
     assert said in told
     assert not (tmp_path / "out").exists()
     assert load(REFLEX) is not None
+
+
+@pytest.mark.skipif(not shutil.which("g++"), reason="needs g++")
+@pytest.mark.parametrize("name", ["typeof", "linux", "unix", "template"])
+def test_no_field_is_a_word_of_a_compiler(tmp_path, name) -> None:
+    """The header of a sketch is read with the words of GNU C++."""
+    text = f"struct {{ double {in_c(name)}; }} value;\n"
+    (tmp_path / "a.cpp").write_text(text)
+    command = ["g++", "-std=gnu++11", "-fsyntax-only", tmp_path / "a.cpp"]
+    subprocess.run(command, check=True)
 
 
 def test_a_link_needs_python(tmp_path, capsys) -> None:

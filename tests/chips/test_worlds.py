@@ -204,6 +204,58 @@ def test_a_guard_that_refuses_keeps_no_latch_open(tmp_path) -> None:
     assert sum(len(each) == 2 for each in told) == 4  # safe, 0.5, safe, and at the end
 
 
+FEW = """
+from esair.minimal import Reaction, reads, writes
+
+class Go(Reaction):
+    s0 = reads(float, max_age=9.0)
+    m0 = writes(float)
+
+    def react(self, s0):
+        return self.b_c(s0)
+
+    def b_c(self, s0):
+        return s0
+
+class Stop(Reaction):
+    rate = 10.0
+    m0 = writes(float, priority=1)
+
+    def react(self):
+        return self.c()
+
+    def c(self):
+        return 0.0
+"""
+
+
+@pytest.mark.parametrize("sensors", [0, 1])
+@pytest.mark.parametrize("actuators", [0, 1])
+def test_a_robot_may_have_next_to_nothing(tmp_path, sensors, actuators) -> None:
+    """No reaction, no sensor, no actuator: what is left is translated without a warning."""
+    robot = robots.Robot(
+        [],
+        [robots.Given("s0", 1.0)] * sensors,
+        [robots.Told("m0", 0.0)] * actuators,
+    )
+    journal: list[Any] = [([0.5] * sensors, [True] * actuators)] * 2
+    told = robots.run_c(robot, robots.in_c(robot, tmp_path), journal)
+    assert told == robots.run_min(robot, journal)
+
+
+def test_functions_of_two_reactions_have_two_names(tmp_path) -> None:
+    """``b_c`` of a reaction ``a``, and ``c`` of another that is called ``a_b``."""
+    module = robots.imported(FEW, tmp_path / "few.py")
+    robot = robots.Robot(
+        [module.Go("a"), module.Stop("a_b")],
+        [robots.Given("s0", 1.0)],
+        [robots.Told("m0", 0.0)],
+    )
+    journal = [([0.5], [True])] * 3
+    told = robots.run_c(robot, robots.in_c(robot, tmp_path), journal)
+    assert told == robots.run_min(robot, journal)
+
+
 SCANS = """
 from collections import namedtuple
 from esair.minimal import Reaction, reads, writes

@@ -145,7 +145,7 @@ def header(program: Program, target: str) -> str:
         floats=floats,
         types="\n".join(program.types.lines),
         heads="\n".join(f"{each};" for each in _heads(program)),
-        parts=",\n    ".join(parts),
+        parts=",\n    ".join([*parts, "ROBOT_PARTS"]),
     )
 
 

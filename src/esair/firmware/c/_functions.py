@@ -276,7 +276,6 @@ class Functions:
             reaction, in_c(reaction.name), types, constants, self._call, ports
         )
         self._known: dict[Any, Function] = {}
-        self._names: set[str] = set()
         self._done: list[Function] = []
         self._busy: list[Function] = []
         self._errors: list[RefusedError] = []
@@ -332,10 +331,10 @@ class Functions:
     def _name(self, python: types.FunctionType) -> str:
         wanted = name = f"f_{self.memory.c}_{in_c(python.__name__)}"
         number = 1
-        while name in self._names:
+        while name in self.memory.types.names:
             number += 1
             name = f"{wanted}_{number}"
-        self._names.add(name)
+        self.memory.types.names.add(name)
         return name
 
     def _write(self, function: Function, is_method: bool, root: bool) -> None:

@@ -25,8 +25,8 @@ WORDS: Final = frozenset(
     "continue default delete do double else enum explicit export extern false float for "
     "friend goto if inline int long mutable namespace new not operator or private "
     "protected public real register restrict return short signed sizeof static struct "
-    "switch template this throw true try typedef typeid typename union unsigned using "
-    "virtual void volatile while xor".split()
+    "switch template this throw true try typedef typeid typename typeof union unsigned "
+    "using virtual void volatile while xor linux unix".split()
 )
 """What no field of a struct can be called, in C or C++."""
 
@@ -94,6 +94,8 @@ class Types:
         """The structs, for the header."""
         self.functions: list[str] = []
         """What compares and unpacks them."""
+        self.names: set[str] = set()
+        """Those of the functions of all reactions."""
 
     def tuple_of(
         self, fields: tuple[Type, ...], names: tuple[str, ...], cls: type | None

@@ -457,6 +457,7 @@ uint32_t robot_wait(uint32_t clock)
 
 void robot_open(void)
 {
+    (void)es_terms; /* a robot may have none */
     es_now = es_rest = 0;
     es_ancient = false;
     for (int i = 0; i < ES_INPUTS; i++) es_inputs[i].turn.age = ES_OLD;

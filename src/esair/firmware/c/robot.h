@@ -14,7 +14,7 @@ ${types}
 /* To be written by you. Return false if there is no reading, or it was not taken. */
 ${heads}
 
-enum { /* the parts */
+enum { /* the parts, and how many there are */
     ${parts}
 };
 
