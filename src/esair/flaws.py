@@ -172,7 +172,7 @@ class _Walk:
         if shape != _ROW:
             return False
         try:
-            if self._rows:
+            if self._rows and not hasattr(type(value), "_fields"):
                 return not any(map(math.isnan, value))
             return all(map(math.isfinite, value))
         except TypeError:

@@ -398,6 +398,8 @@ class Hostile:
         (Scan([], Pose(math.nan, 0.0)), "pose.x = nan"),
         (np.array([1.0, math.nan]), "NaN in an array"),
         ({"image": np.array([math.nan])}, "NaN in image"),
+        (Pose(math.inf, 0.0), "a finite number, it gave x = inf"),
+        ([Pose(0.0, -math.inf)], "a finite number"),
     ],
 )
 async def test_a_number_that_is_none_is_found_wherever_it_is(
