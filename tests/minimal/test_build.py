@@ -7,6 +7,7 @@ import shutil
 import sys
 import textwrap
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
@@ -350,6 +351,28 @@ def test_a_module_called_main_is_refused(tmp_path) -> None:
 
     (found,) = misfits(path, tmp_path / "board")
     assert "behavior.go: its module main has the name of what a board starts" in found
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "driver"),
+    [
+        pytest.param("rp2", "", "rp2:Go", id="parts that a board does not find"),
+        pytest.param(
+            "machine", "import machine\n", "go:Go", id="pins that move nothing"
+        ),
+    ],
+)
+def test_a_module_in_the_way_of_one_of_boards_is_refused(
+    tmp_path, name, first, driver
+) -> None:
+    """A stand-in for pins, beside the robot for tests, would stand for them there, too."""
+    (tmp_path / f"{name}.py").write_text(SIMPLE)
+    (tmp_path / "go.py").write_text(first + SIMPLE)
+    path = simple(tmp_path, behavior_go=driver)
+
+    with mock.patch.dict(sys.modules):  # they are not for other tests
+        found = " ".join(misfits(path, tmp_path / "board"))
+    assert f"{name}.py has the name of a module of boards: give it another" in found
 
 
 @pytest.mark.parametrize("watchdog", [0.0, -1.0, math.nan, math.inf])

@@ -55,6 +55,9 @@ class Modules:
         self.sources[name] = text
         if name == "main":
             self._misfit(key, "its module main has the name of what a board starts")
+        elif name in KNOWN_MODULES:  # a stand-in for a computer, or another one
+            told = f"{path.name} has the name of a module of boards: give it another"
+            self._misfit(key, told)
         is_package = path.name == "__init__.py"
         try:
             tree = ast.parse(text)
