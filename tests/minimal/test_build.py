@@ -344,6 +344,17 @@ def test_two_modules_may_have_a_class_of_one_name(micropython, tmp_path) -> None
     assert printed.split()[1::2] == ["0.0", "0.5", "0.5", "0.0"]
 
 
+def test_infinity_of_the_file_goes_to_the_board(micropython, tmp_path) -> None:
+    """A limit that is none is allowed in a robot.toml, and is no name there."""
+    path = simple(tmp_path)
+    table = "[actuator.motor]\n"
+    path.write_text(path.read_text().replace(table, table + "limits = [-inf, inf]\n"))
+    firmware.build(path, tmp_path / "board")
+
+    printed = micropython.run(tmp_path / "board", TWO_STEPS)
+    assert printed.split() == "motor 0.0 motor 0.5 motor 0.5 motor 0.0".split()  # noqa: SIM905
+
+
 def test_a_module_called_main_is_refused(tmp_path) -> None:
     """A board starts main.py, which the builder writes."""
     (tmp_path / "main.py").write_text(SIMPLE)

@@ -122,7 +122,8 @@ def literal(value: Any, part: Part, key: str, imports: Imports) -> str:
 
     def write(one: Any) -> str:
         if one is None or type(one) in {bool, int, float, str}:
-            return repr(one)
+            text = repr(one)
+            return f'float("{text}")' if text[-3:] in {"inf", "nan"} else text
         if type(one) is list or type(one) is tuple:  # the file has no tuples
             inside = ", ".join(map(write, one))
             return f"({inside},)" if len(one) == 1 else f"({inside})"
