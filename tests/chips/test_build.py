@@ -1,5 +1,6 @@
 """``esair min build --board c|avr``: what is written, how much it takes, what examples get."""
 
+import math
 import os
 import re
 import shutil
@@ -217,6 +218,9 @@ def test_examples_for_boards_are_translated(tmp_path, name) -> None:
         ("arm", {"arm": "pin:x"}),
         ("watchdog", {"watchdog": 9.0}),
         ("watchdog", {"watchdog": 0.001}),
+        ("watchdog", {"watchdog": math.nan}),
+        ("longer than a step", {"watchdog": 0.24, "rate": 6.0}),  # it would be 0.12 s
+        ("longer than a step", {"watchdog": 1.0, "rate": 1.0}),
         ("rate", {"rate": 2000.0}),
     ],
 )

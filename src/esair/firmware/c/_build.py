@@ -89,9 +89,9 @@ def build(
         arm.startswith("pin:") and arm[4:].isdigit()
     ):
         misfit("", f"arm={arm!r}: expected host, always, or pin: and a number")
-    if watchdog is not None and not max(1 / steps, 0.015) <= watchdog <= 8:
-        told = "an AVR takes from one step, 1/rate, to 8 s"
-        misfit("", f"a watchdog of {watchdog} s: {told}")
+    if watchdog is not None and (watchdog > 8 or _time_out(watchdog) * steps <= 1000):
+        told = "an AVR has 0.015, 0.03, 0.06, 0.12, 0.25, 0.5, 1, 2, 4 and 8: take one"
+        misfit("", f"a watchdog of {watchdog} s: {told} longer than a step, 1/rate")
     if found:
         raise ExceptionGroup(f"{path} does not fit into ESAIR MIN", found)
     keys = {id(part.made): part.key for part in parts}
@@ -126,6 +126,12 @@ def build(
         raise ConfigError("esair min build", "out", told) from error
     sizes = {name: len(text.encode()) for name, text in files.items()}
     return Translated(folder, sizes, steps, program.has_floats)
+
+
+def _time_out(watchdog: float) -> int:
+    """Return what an AVR has of at most so many seconds, in milliseconds."""
+    steps = (15, 30, 60, 120, 250, 500, 1000, 2000, 4000, 8000)
+    return max((each for each in steps if each <= watchdog * 1000), default=0)
 
 
 def header(program: Program, target: str) -> str:
@@ -173,8 +179,7 @@ def sketch(program: Program, watchdog: float | None, arm: str) -> str:
         each += "    if (order == 'a' || order == 'd') robot_arm(order == 'a');\n"
     include = ""
     if watchdog is not None:
-        steps = (15, 30, 60, 120, 250, 500, 1000, 2000, 4000, 8000)
-        longest = max(each for each in steps if each <= watchdog * 1000)
+        longest = _time_out(watchdog)
         name = f"{longest}MS" if longest < 1000 else f"{longest // 1000}S"
         include = "#include <avr/wdt.h>\n"
         setup += f"    wdt_enable(WDTO_{name});\n"
