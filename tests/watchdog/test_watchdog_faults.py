@@ -14,7 +14,7 @@ import time
 import tty
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 from tests.watchdog.test_watchdog import dogs_of
@@ -371,7 +371,7 @@ async def test_what_one_device_cannot_take_is_its_own_fault(line: Line) -> None:
     """Whatever its write raises: who sends to it goes on with the next one."""
     told = {"name": "lamp", "wire": "gpio", "target": {}, "frames": ["00" * 2000]}
     device = Device(told, [line.near])
-    device.begin()
+    device.begin({})
     assert device.is_left()
     assert "too long" in device.error
 
@@ -382,7 +382,7 @@ def test_frames_with_a_gap_are_each_sent_after_silence() -> None:
     near, far = os.pipe()
     device = Device({**told, "gap": 0.01}, [far])
     began = time.monotonic()
-    device.begin()
+    device.begin({})
     came: list[float] = []
     while device.is_left():
         if len(device.left) < 2 - len(came):
@@ -393,6 +393,48 @@ def test_frames_with_a_gap_are_each_sent_after_silence() -> None:
     assert os.read(near, 3) == b"\1\2"
     os.close(near)
     os.close(far)
+
+
+def on_one_line(line: int, *frames: bytes, gap: float = 0.0) -> list[Device]:
+    """Return a device for each frame, with a descriptor of its own of the same line."""
+    told = {"name": "valve", "wire": "serial", "target": {}, "gap": gap}
+    devices = [
+        Device({**told, "frames": [frame.hex()]}, [os.dup(line)]) for frame in frames
+    ]
+    lines: dict[object, Any] = {}
+    for device in devices:
+        device.begin(lines)
+    return devices
+
+
+def test_devices_on_one_line_keep_silence_between_their_frames() -> None:
+    """Each of them hears what the others are told, and may answer."""
+    near, far = os.pipe()
+    first, second = on_one_line(far, b"1", b"2", gap=0.01)
+    while first.is_left():
+        pass
+    sent = time.monotonic()
+    while second.is_left():
+        pass
+    assert time.monotonic() - sent >= 0.015
+    for each in (near, far, first.descriptor, second.descriptor):
+        os.close(each)
+
+
+def test_a_frame_that_a_full_line_has_cut_is_whole_before_another_one() -> None:
+    """Of two devices on it neither would understand both."""
+    near, far = os.pipe()
+    first, second = on_one_line(far, b"1" * 100_000, b"2" * 10_000)
+    assert first.is_left()
+    came = os.read(near, 50_000)
+    assert second.is_left()
+    assert not first.is_left()
+    came += os.read(near, 100_000)
+    assert not second.is_left()
+    came += os.read(near, 100_000)
+    assert came == b"1" * 100_000 + b"2" * 10_000
+    for each in (near, far, first.descriptor, second.descriptor):
+        os.close(each)
 
 
 async def test_hundreds_may_be_armed_at_the_same_time(dog: Watchdog) -> None:

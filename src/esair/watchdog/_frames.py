@@ -27,7 +27,8 @@ class SafeFrames:
             ends a message that was cut in half; must be nothing to a device that waits.
         repeat: How often all of it is sent.
         gap: The silence before each of them, in seconds, where nothing else ends a message
-            that was cut in half; how long a frame takes to be sent included.
+            that was cut in half; how long a frame takes to be sent included. It is twice
+            as long where several devices are on the line, of which one may answer.
         address: The address of the chip on I²C.
     """
 

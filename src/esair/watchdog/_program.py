@@ -26,6 +26,13 @@ STOP_WITHIN, SEND_WITHIN, TRIES = 0.02, 0.5, 50
 I2C_TIMEOUT, I2C_RDWR, GPIO_SET_VALUES = 0x0702, 0x0707, 0xC010B40F
 
 
+class Line:
+    """What the devices on one line share: its silence, and who has a frame cut in half."""
+
+    users, gap, due = 0, 0.0, 0.0
+    cut: "Device | None" = None
+
+
 class Device:
     def __init__(self, told: dict[str, Any], descriptors: list[int]) -> None:
         self.name, self.wire, self.target = told["name"], told["wire"], told["target"]
@@ -43,10 +50,15 @@ class Device:
         if not descriptors:
             raise OSError("its descriptor did not arrive: too many are open")
         self.descriptor = descriptors[0]
+        file = os.fstat(self.descriptor)
+        self.place = (file.st_dev, file.st_ino) if self.wire == "serial" else self
 
-    def begin(self) -> None:
+    def begin(self, lines: dict[object, Line]) -> None:
         """Throw away the motion that still waits in the kernel."""
-        self.left, self.due = self.frames, time.monotonic() + self.gap
+        self.left, self.line = self.frames, lines.setdefault(self.place, Line())
+        self.line.users += 1
+        self.line.gap = max(self.line.gap, self.gap)
+        self.line.due = time.monotonic() + self.line.gap
         with contextlib.suppress(Exception):  # a pipe has no such queue
             os.set_blocking(self.descriptor, False)  # the robot's, too: not before
             termios.tcflush(self.descriptor, termios.TCOFLUSH)
@@ -54,13 +66,16 @@ class Device:
 
     def is_left(self) -> bool:
         """Send what goes out now; tell whether something is left."""
+        line = self.line
         try:
-            while self.left and time.monotonic() >= self.due:
+            while (
+                self.left and line.cut in (None, self) and time.monotonic() >= line.due
+            ):
                 rest = self.left[0][self.write(self.left[0]) :]
-                self.left, self.due = (
-                    [rest, *self.left[1:]] if rest else self.left[1:],
-                    time.monotonic() + self.gap * (not rest),
-                )
+                self.left = [rest, *self.left[1:]] if rest else self.left[1:]
+                line.cut = self if rest else None
+                if not rest:  # of two devices, one may answer before the other is told
+                    line.due = time.monotonic() + line.gap * min(line.users, 2)
         except Exception as error:  # the others are to be made safe all the same
             self.error = str(error)
         return bool(self.left)
@@ -199,12 +214,14 @@ class Watchdog:
             signal.pidfd_send_signal(self.pidfd, signal.SIGSTOP)
         while not self.is_still() and time.monotonic() - began < STOP_WITHIN:
             time.sleep(0.0001)  # what it still writes must not come after safe
-        waiting = list(self.devices.values())  # all of them before any is tried again
+        waiting, lines = list(self.devices.values()), dict[object, Line]()
         for device in waiting:
-            device.begin()
+            device.begin(lines)
         while waiting := [device for device in waiting if device.is_left()]:
             if time.monotonic() - began > SEND_WITHIN:
                 break
+            # All of them before any is told again.
+            waiting.sort(key=lambda device: len(device.frames) - len(device.left))
             time.sleep(0.001)
         took = time.monotonic() - began
         with contextlib.suppress(OSError):  # it is dead
