@@ -370,6 +370,32 @@ async def test_two_reads_under_one_chip_select_are_refused() -> None:
     await bus.close()
 
 
+async def test_what_a_call_did_not_send_does_not_leave_with_the_next_one() -> None:
+    """Its time was over: the chip would take it for the begin of another transfer."""
+    bus = FakeSpi(chips={0: SpiRegisters({0x02: 0x22})})
+    await bus.open()
+    spi = AdafruitSpi(bus, 0)
+    back = bytearray(1)
+
+    def read(register: int) -> None:
+        spi.value = False
+        try:
+            spi.write(bytes([0x80 | register]))
+            spi.readinto(back)
+        finally:
+            spi.value = True
+
+    spi.allow(-1.0)
+    with pytest.raises(TimeoutError):
+        await bus.executor.call(read, 0x01, timeout=5.0)
+    spi.allow(5.0)
+    await bus.executor.call(read, 0x02, timeout=5.0)
+
+    assert back == b"\x22"
+    assert [each.sent for each in bus.log] == [b"\x82\0"]
+    await bus.close()
+
+
 def test_a_chip_select_is_needed_on_spi_and_only_there() -> None:
     """The error says which keyword belongs to which bus."""
     spi, i2c = FakeSpi(chips={}), FakeI2c(chips={})

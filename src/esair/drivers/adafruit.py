@@ -266,8 +266,8 @@ class AdafruitSpi(_Wire):
                 "the driver reads twice under one chip select, which the kernel cannot"
             )
             raise DeviceFaultError(self._bus.name, told)
+        sent, self._written = self._written + data, b""  # whether it leaves or not
         self._count(self._bus)
-        sent, self._written = self._written + data, b""
         self._has_read = self._selected and bool(data)
         back = self._bus.direct(
             lambda link: link.exchange(self._chip, sent, self.frequency, self._mode),
