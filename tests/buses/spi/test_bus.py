@@ -100,6 +100,20 @@ async def test_a_transfer_that_failed_is_not_repeated(fake_spi) -> None:
 
 
 @pytest.mark.virtual_clock
+async def test_fewer_bytes_than_were_sent_are_no_answer(fake_spi) -> None:
+    """Nobody knows which of them are missing."""
+    bus = fake_spi(chips={0: SimpleNamespace(exchange=lambda data: data[1:])})
+    await bus.open()
+
+    for call in bus.exchange(0, b"\1\2\3"), bus.transfer(0, b"\1", read=2):
+        with pytest.raises(DeviceFaultError, match="2 bytes instead of 3"):
+            await call
+
+    assert bus.stats.errors == 2
+    await bus.close()
+
+
+@pytest.mark.virtual_clock
 async def test_a_transaction_is_in_one_piece(fake_spi) -> None:
     """What others ask for waits until it is over."""
     bus = fake_spi(chips={0: b"", 1: b""})

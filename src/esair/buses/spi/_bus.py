@@ -88,9 +88,13 @@ class SpiBus(LinkBus[SpiLink]):
         self._check_whole("data", len(data), 1, LIMIT, " bytes")
         self._check_whole("speed", hertz, 1, 2**32, " Hz")
         self._check_whole("mode", phase, 0, 3)
-        return await self._turn(
+        back = await self._turn(
             lambda link: link.exchange(chip, data, hertz, phase), chip, timeout
         )
+        if len(back) != len(data):
+            told = f"chip {chip} sent {len(back)} bytes instead of {len(data)}"
+            raise self.failed(DeviceFaultError(self.name, told))
+        return back
 
     async def transfer(
         self,
@@ -114,9 +118,6 @@ class SpiBus(LinkBus[SpiLink]):
         back = await self.exchange(
             chip, write + bytes(read), speed=speed, mode=mode, timeout=timeout
         )
-        if len(back) != len(write) + read:
-            told = f"chip {chip} sent {len(back)} bytes instead of {len(write) + read}"
-            raise self.failed(DeviceFaultError(self.name, told))
         self.stats.received += bool(read)
         return back[len(write) :]
 
