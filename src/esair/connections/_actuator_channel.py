@@ -232,8 +232,7 @@ class ActuatorChannel(Device):
         self.gate.latched = True
         self.gate.fence += 1
         self._settle()
-        patience = self.safe.turn_within + self.actuator.deadline + 0.1
-        self.safe.latch(self.time() + patience)
+        self.safe.latch(self.time() + self.wire.patience)
         self._look()
         if self.state is ResourceState.READY and not self.is_safe:
             self.make_safe()

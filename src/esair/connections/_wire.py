@@ -101,6 +101,8 @@ class Wire:
     bounds: bool = attrs.field(init=False)
     """Whether that is so, or a watchdog is asked for each command."""
     command_timeout: float = attrs.field(init=False)
+    turn_within: float = attrs.field(init=False)
+    """How long its safe command waits for a write in flight, in seconds."""
     still: Any = attrs.field(init=False)
     """What it is told for protection's sake: its safe command, or to stay where that is a
     place to go."""
@@ -124,6 +126,7 @@ class Wire:
         actuator = self.actuator
         self.command_timeout = float(actuator.command_timeout)
         self._deadline = actuator.deadline
+        self.turn_within = min(self._deadline, self.command_timeout, TURN_WITHIN)
         self.still = HOLD if actuator.safe_moves else actuator.safe
         check = self.check = CommandCheck(actuator)
         self.copies, self.slews = check.copies, check.slews
@@ -179,6 +182,11 @@ class Wire:
             return sent
         told.error = ""  # done: most drivers need not wait
         return sent
+
+    @property
+    def patience(self) -> float:
+        """How long its safe command may take in all, in seconds."""
+        return self.turn_within + self._deadline + 0.1
 
     def watch_by(self, watch: Watched | None) -> None:
         """Ask this watchdog from now on whether it may move."""
@@ -380,7 +388,7 @@ class SafeCommand:
             self.state = AGAIN
         safe = device.calls.alive.get(self._number)
         if safe is not None and safe.kind == "safe":  # its answer may be long in coming
-            Deadlines.of(device.loop).after(self.turn_within, self._overtake, safe)
+            Deadlines.of(device.loop).after(wire.turn_within, self._overtake, safe)
 
     def after_operation(self) -> None:
         """Send it, or send it again: nobody knows where an operation has ended."""
@@ -419,24 +427,17 @@ class SafeCommand:
 
     async def settled(self, until: float = math.inf) -> None:
         """Wait until it is the last thing on the wire; bounded."""
-        device = self._device
-        turn = self.turn_within + self._wire.actuator.deadline + 0.1
-        give_up = min(device.time() + turn, self._last_moment, until)
+        device, give_up = self._device, min(self._last_moment, until)
         while self._task is not None or (
             device.state is ResourceState.READY and self._wire.unsettled()
         ):
-            seconds = give_up - device.time()
-            if seconds <= REACHED:
+            now = device.time()
+            give_up = min(give_up, now + self._wire.patience)
+            if give_up - now <= REACHED:
                 return
             pulse: asyncio.Future[None] = device.loop.create_future()
             self._pulses.append(pulse)
-            await Deadlines.of(device.loop).pulse(pulse, seconds)
-
-    @property
-    def turn_within(self) -> float:
-        """How long it waits for a write in flight, in seconds."""
-        wire = self._wire
-        return min(wire.actuator.deadline, wire.command_timeout, TURN_WITHIN)
+            await Deadlines.of(device.loop).pulse(pulse, give_up - now)
 
     def _overtake(self, safe: Call) -> None:
         """Send it beside one that has no answer: a motion may have undone that."""
@@ -459,7 +460,7 @@ class SafeCommand:
         try:
             with device.driver.urgency.raised(SAFE):
                 now = device.time()
-                until = now + min(self.turn_within, (self._last_moment - now) / 2)
+                until = now + min(wire.turn_within, (self._last_moment - now) / 2)
                 if wire.lane is not None and wire.lane.kind == "write":
                     wire.lane.withdraw()
                 while device.time() + REACHED < until:
@@ -551,7 +552,7 @@ class SafeCommand:
                 journal.publish(Kind.SAFE, device.name, "", command)
 
     def _send_later(self) -> None:
-        self._refused.start(self._device.time() + self.turn_within)
+        self._refused.start(self._device.time() + self._wire.turn_within)
 
     async def _outcome(self, call: Call) -> Any:
         device, wire = self._device, self._wire
@@ -587,10 +588,10 @@ class SafeCommand:
         if not (told.command is None or told.command is HOLD or told.is_safe):
             urgent = self._device.driver.urgency.raised(SAFE)
             with urgent, contextlib.suppress(Exception):  # it may be gone, or not obey
-                await self._tell(self.turn_within)
+                await self._tell(self._wire.turn_within)
 
     async def at_last(self, within: float) -> None:
         """Send it to a device that is closed now, if a motion has ended after it."""
         if self._wire.told.is_undone:
             with contextlib.suppress(Exception):  # it may be gone, or not obey
-                await self._tell(min(within, self.turn_within))
+                await self._tell(min(within, self._wire.turn_within))

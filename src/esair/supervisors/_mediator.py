@@ -624,13 +624,12 @@ class Mediator:
         for queue in member.queues.values():
             queue.end_all(Outcome.PEER_FAILED, lambda _: _finished(member))
 
-    def asker_ended(self, member: Mailbox, *, removed: bool = False) -> None:
+    def asker_ended(self, member: Mailbox) -> None:
         """End every request of a behavior whose run has ended, whoever waits in it."""
+        ended = BehaviorRemovedError if member.state in _LEAVING else run_ended
         for request in tuple(self.of_asker.get(member.name, ())):
             if request.by is member:
-                ended = run_ended(member.name)
-                error = BehaviorRemovedError(member.name) if removed else ended
-                request.withdraw(Outcome.WITHDRAWN, error=error)
+                request.withdraw(Outcome.WITHDRAWN, error=ended(member.name))
 
     def peer_removed(self, member: Mailbox) -> None:
         """End every request that waits for a behavior that is removed."""

@@ -214,17 +214,15 @@ class Member:
 
     def forget_waiting(self) -> None:
         """Drop the commands that its reactions keep until a driver is done."""
-        for runner in self._runners():
-            runner.outputs.forget()
+        for each in (self, *self.steps):
+            if each.runner is not None:
+                each.runner.outputs.forget()
 
     def halt(self) -> None:
         """Let its reactions take no further step: the robot stops."""
-        for runner in self._runners():
-            runner.stop()
-
-    def _runners(self) -> list[ReactionRunner]:
-        found = (self.runner, *(step.runner for step in self.steps))
-        return [each for each in found if each is not None]
+        for each in (self, *self.steps):
+            if each.runner is not None:
+                each.runner.stop()
 
     def start(self) -> None:
         self.mail.become(BehaviorState.STARTING)
@@ -309,7 +307,8 @@ class Member:
             error = raised.with_traceback(None)
         except BaseException as raised:  # contained: one component's failure
             error = raised
-        if asyncio.current_task() is self.task:  # else it is another run's by now
+        # Else it is another run's by now, or was done when its end was asked for.
+        if asyncio.current_task() is self.task and self.mail.alive:
             self.mail.run_over(error)
         try:
             await self._run(behavior.teardown)
@@ -364,7 +363,7 @@ class Member:
             self.mail.become(BehaviorState.FINISHED)
             self.life.tell(Kind.FINISHED)
             self.fence()
-            self._end_requests()
+            self.crew.mediator.asker_ended(self.mail)
             self.crew.mediator.peer_finished(self.mail)
             cancel(self.mail.owner)
             self.crew.ended()
@@ -487,7 +486,7 @@ class Member:
             self._no_restart()
         self.fence(lambda: UserRemovedError(self.name))
         self.give_up()
-        self._end_requests()
+        self.crew.mediator.asker_ended(self.mail)
         self.mail.run_over(None)
         if self.mail.takers:
             wake(*self.mail.takers)
@@ -533,7 +532,7 @@ class Member:
         """Let nothing of this run reach anything any more."""
         self.fence()
         self.mail.run_over(error)
-        self._end_requests()
+        self.crew.mediator.asker_ended(self.mail)
         self.mail.owner.over = self.mail.outlived = True
         cancel(self.mail.owner)
 
@@ -543,10 +542,6 @@ class Member:
         for future in (self.ready, self.gate):
             if future is not None:
                 fail(future, BehaviorRemovedError(self.name))
-
-    def _end_requests(self) -> None:
-        removed = self.mail.state is BehaviorState.STOPPING
-        self.crew.mediator.asker_ended(self.mail, removed=removed)
 
     def misfit(self) -> str:
         """Say why it cannot begin anew with what is there now; empty if it can."""
