@@ -233,11 +233,12 @@ async def test_a_stop_knows_that_the_old_one_is_safe() -> None:
 
 @pytest.mark.virtual_clock
 @pytest.mark.promise("SUP-3", "SUP-5")
+@pytest.mark.parametrize("waits", [False, True])
 @pytest.mark.parametrize("way", ["removed", "replaced"])
 async def test_what_goes_in_little_time_is_told_to_be_safe(
-    way: str, fake_actuator: Any
+    way: str, waits: bool, fake_actuator: Any
 ) -> None:
-    """Beside a command that takes longer than the grace period."""
+    """Beside a command that takes longer than the grace period, which it may wait for."""
     old, new = (fake_actuator("motor", safe=0.0) for _ in range(2))
     old.slow(0.01)
     robot = esair.Robot(resources=[old], behaviors=[Drive()], grace=0.1)
@@ -245,6 +246,8 @@ async def test_what_goes_in_little_time_is_told_to_be_safe(
         await asyncio.sleep(0.1)
         old.slow(0.0, acknowledge=0.31)
         await asyncio.sleep(0.1)
+        if waits:
+            robot.halt("it is about to go")
         if way == "removed":
             await robot.resources.remove("motor")
         else:

@@ -560,20 +560,16 @@ class Calls:
     async def quiet(self, until: float) -> None:
         """Wait until no call is alive, or until a moment."""
         while self.alive and self.time() + REACHED < until:
-            await self.next_end(until)
-
-    async def next_end(self, until: float) -> None:
-        """Wait until some call that is alive has its outcome or its end, or a moment."""
-        waiter: asyncio.Future[None] = self._loop.create_future()
-        calls = tuple(self.alive.values())
-        for call in calls:
-            call.waiters.append(waiter)
-        try:
-            await self._deadlines.pulse(waiter, until - self.time())
-        finally:
+            waiter: asyncio.Future[None] = self._loop.create_future()
+            calls = tuple(self.alive.values())
             for call in calls:
-                if waiter in call.waiters:
-                    call.waiters.remove(waiter)
+                call.waiters.append(waiter)
+            try:
+                await self._deadlines.pulse(waiter, until - self.time())
+            finally:
+                for call in calls:
+                    if waiter in call.waiters:
+                        call.waiters.remove(waiter)
 
     # Inside.
 

@@ -419,6 +419,7 @@ class SafeCommand:
     def latch(self, until: float) -> None:
         """The robot stops, or the device goes, and waits for it until then."""
         self._last_moment = until
+        self.pulse()
 
     def pulse(self) -> None:
         """Let those look again who wait until it is the last thing on the wire."""
@@ -435,9 +436,14 @@ class SafeCommand:
             give_up = min(give_up, now + self._wire.patience)
             if give_up - now <= REACHED:
                 return
-            pulse: asyncio.Future[None] = device.loop.create_future()
-            self._pulses.append(pulse)
-            await Deadlines.of(device.loop).pulse(pulse, give_up - now)
+            await self._pulsed(give_up - now)
+
+    async def _pulsed(self, seconds: float) -> None:
+        """Wait until something has ended, for so long at most."""
+        loop = self._device.loop
+        pulse: asyncio.Future[None] = loop.create_future()
+        self._pulses.append(pulse)
+        await Deadlines.of(loop).pulse(pulse, seconds)
 
     def _overtake(self, safe: Call) -> None:
         """Send it beside one that has no answer: a motion may have undone that."""
@@ -459,14 +465,15 @@ class SafeCommand:
         device, wire = self._device, self._wire
         try:
             with device.driver.urgency.raised(SAFE):
-                now = device.time()
-                until = now + min(wire.turn_within, (self._last_moment - now) / 2)
+                begun = device.time()
                 if wire.lane is not None and wire.lane.kind == "write":
                     wire.lane.withdraw()
-                while device.time() + REACHED < until:
-                    if wire.lane is None or not wire.lane.may_move:
-                        break  # what moves nothing may take its time
-                    await device.calls.next_end(until)
+                # What moves nothing may take its time.
+                while wire.lane is not None and wire.lane.may_move:
+                    most = min(wire.turn_within, (self._last_moment - begun) / 2)
+                    if (seconds := begun + most - device.time()) <= REACHED:
+                        break
+                    await self._pulsed(seconds)
                 while True:
                     self.state = ON_ITS_WAY
                     took = await self._try()
