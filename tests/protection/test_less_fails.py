@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import pytest
@@ -41,6 +42,43 @@ async def test_what_does_not_take_less_is_made_safe(
         await asyncio.sleep(0.5)
         assert wheels.commands == [0.0, 1.0, 0.0]
         assert (await user.wheels.write(1.0)).command == left
+
+
+class Row(Mapping[str, float]):
+    """A mapping of numbers that nobody can change."""
+
+    def __init__(self, speed: float) -> None:
+        self._entries = {"speed": speed}
+
+    def __getitem__(self, key: str) -> float:
+        return self._entries[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+
+@pytest.mark.promise("PRO-8")
+async def test_what_cannot_be_made_less_is_made_safe() -> None:
+    """Its class keeps its parts: what stands would be more than a guard lets pass."""
+
+    class CapRow(esair.Reaction):
+        cap = esair.reads(float)
+        wheels = esair.guards(Row)
+
+        def react(self, cap: float, wheels: Row) -> Row:
+            return Row(min(cap, wheels["speed"]))
+
+    wheels = FakeActuator("wheels", safe=Row(0.0), command_timeout=60.0)
+    cap = FakeSensor("cap", 9.0)
+    user: Any = esair.Behavior(name="user", writes={"wheels": esair.writes(Row)})
+    async with esair.Robot(resources=[wheels, cap], behaviors=[user, CapRow()]):
+        assert await user.wheels.write(Row(1.0))
+        cap.feed(0.2)
+        await asyncio.sleep(0.5)
+        assert wheels.commands[-1] == Row(0.0)
 
 
 class Stop(esair.Reaction):

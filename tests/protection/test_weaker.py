@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import array
+import collections
 import dataclasses
 import enum
 import math
@@ -45,6 +47,20 @@ class Object:
     __hash__ = None  # type: ignore[assignment]
 
 
+@attrs.frozen
+class Derived:
+    linear: float
+    angular: float
+    fast: bool = attrs.field(init=False, default=False)
+
+
+@dataclasses.dataclass(frozen=True)
+class DerivedData:
+    linear: float
+    angular: float
+    fast: bool = dataclasses.field(init=False, default=False)
+
+
 KINDS: dict[str, Callable[[float, float], Any]] = {
     "attrs": Frozen,
     "dataclass": Data,
@@ -54,6 +70,15 @@ KINDS: dict[str, Callable[[float, float], Any]] = {
     "list": lambda linear, angular: [linear, angular],
     "dict": lambda linear, angular: {"linear": linear, "angular": angular},
     "array": lambda linear, angular: np.array([linear, angular]),
+    "attrs with more than is given": Derived,
+    "dataclass with more than is given": DerivedData,
+    "deque": lambda linear, angular: collections.deque([linear, angular]),
+    "ordered dict": lambda linear, angular: collections.OrderedDict(
+        linear=linear, angular=angular
+    ),
+    "row of the standard library": lambda linear, angular: array.array(
+        "d", [linear, angular]
+    ),
 }
 
 

@@ -536,14 +536,14 @@ class Stillness:
             return  # a call in flight: it is looked at again when that ends
         if self._safe.state is not None or numbers != gate.numbers:
             return  # a guard took its time, or has halted
-        less = weaker_of(told.command, passed, wire.still)
-        if is_same(less, told.command):
-            return
-        told.at = now
-        guard = gate.ticket(None, None, numbers) if wire.blocks else None
         try:
+            less = weaker_of(told.command, passed, wire.still)
+            if is_same(less, told.command):
+                return
+            told.at = now
+            guard = gate.ticket(None, None, numbers) if wire.blocks else None
             sent = wire.send(less, "", guard)
-        except EsairError:  # it is told to those who look after the device
+        except Exception:  # it is told to those who look after the device
             self._safe.make(stay=True)  # what stands is more than they let pass
             return
         if type(sent) is Call:

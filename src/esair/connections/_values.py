@@ -158,17 +158,17 @@ def _part(whole: Any, key: Any) -> Any:
 
 
 def _rebuilt(command: Any, parts: dict[Any, Any]) -> Any:
-    if hasattr(command, "tolist"):
-        rebuilt = command.copy()
-        rebuilt[...] = [parts[place] for place in range(len(parts))]
-        return rebuilt
-    if isinstance(command, Sequence):
-        values = [parts[place] for place in range(len(parts))]
-        if not isinstance(command, tuple):
-            return values
+    if isinstance(command, Sequence) and not hasattr(command, "__setitem__"):
+        kind: Any = type(command)
         named = hasattr(command, "_fields")
-        return type(command)(*values) if named else type(command)(values)
-    return changed(command, parts)
+        return kind(*parts.values()) if named else kind(parts.values())
+    by_key = isinstance(command, Mapping | Sequence) or hasattr(command, "tolist")
+    put: Any = operator.setitem if by_key else object.__setattr__  # it may be frozen
+    rebuilt = copy.deepcopy(command)
+    for key, part in parts.items():
+        if part is not _MISSING:
+            put(rebuilt, key, part)
+    return rebuilt
 
 
 def equal(one: Any, other: Any) -> bool:
