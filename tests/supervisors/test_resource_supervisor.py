@@ -372,6 +372,21 @@ async def test_what_is_no_resource_is_not_added() -> None:
 
 
 @pytest.mark.promise("RES-1", "RS-5")
+async def test_a_resource_may_say_what_it_is_only_when_it_is_open() -> None:
+    """Its `repr` is not asked for before."""
+
+    class Named(Gain):
+        async def open(self) -> None:
+            self.number = 7
+
+        def __repr__(self) -> str:
+            return f"<gain {self.number}>"
+
+    async with esair.Robot() as robot:
+        await robot.resources.add(Named(name="gain"))
+        assert robot.resources.query("gain").state is ResourceState.READY
+
+
 async def test_a_union_or_a_described_dict_is_a_type_of_values() -> None:
     """Each alternative may come; what has no instances of its own is not checked."""
 

@@ -13,6 +13,7 @@ from esair.loop import VERB_COST, Budget
 from esair.messages import Access, ResourceStatus, SupervisorPhase, Why
 from esair.plan import examine_resource, in_use, refuse
 from esair.resources import Actuator, Resource, adapt_resource
+from esair.supervisors._behavior_deployment import name_of
 from esair.supervisors._resource_deployment import ResourceDeployment
 from esair.supervisors._resource_life import ResourceLife
 from esair.values import check_name, same_type
@@ -140,7 +141,7 @@ class ResourceSupervisor(abc.Supervisor):
                 raise
             self._deployment.came(added.name)
 
-        await self._commands.run(work, name=f"add {added!r:.80}", undo=True)
+        await self._commands.run(work, name=f"add {name_of(added):.80}", undo=True)
 
     async def remove(self, name: str) -> None:
         """Take a resource away; nobody needs to agree.
