@@ -233,6 +233,27 @@ async def test_a_stop_knows_that_the_old_one_is_safe() -> None:
 
 @pytest.mark.virtual_clock
 @pytest.mark.promise("SUP-3", "SUP-5")
+async def test_what_goes_when_its_time_is_over_is_told_to_be_safe(
+    fake_actuator: Any,
+) -> None:
+    """The command before, for the same name, has taken all of it."""
+
+    old, new = (fake_actuator("motor", safe=0.0) for _ in range(2))
+    robot = esair.Robot(resources=[old], behaviors=[Beat()], grace=0.1)
+    async with robot:
+        await asyncio.sleep(0.1)
+        old.silence()
+        old.unplug()
+        await asyncio.sleep(0.1)
+        replacing = asyncio.ensure_future(robot.resources.replace("motor", new))
+        await asyncio.sleep(0)
+        await robot.resources.remove("motor")
+        await replacing
+        assert new.commands[-2:] == [0.5, 0.0]
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("SUP-3", "SUP-5")
 @pytest.mark.parametrize("waits", [False, True])
 @pytest.mark.parametrize("way", ["removed", "replaced"])
 async def test_what_goes_in_little_time_is_told_to_be_safe(

@@ -95,6 +95,10 @@ SAFE_WITHIN = 1.5
 told which have not, whatever their deadlines."""
 
 
+AT_LEAST = 0.02
+"""How long one that goes has to be told, in seconds, however late its turn comes."""
+
+
 class ResourceDeployment:
     """The resources of one robot: it starts and stops them, RS adds and removes some."""
 
@@ -340,6 +344,7 @@ class ResourceDeployment:
         channel = self.actuators.channels.get(name)
         if channel is None:
             return
+        until = max(until, channel.time() + AT_LEAST)
         channel.safe.latch(until)
         await self._make_safe(name, until)
         if not channel.is_safe:
