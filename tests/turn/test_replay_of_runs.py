@@ -370,6 +370,51 @@ def test_two_threads_of_one_name_are_told_apart() -> None:
     assert play(TurnLoop(player=Player(tape)), tape, 0.2, 0.0) == [0, 1]
 
 
+class Stops(esair.Behavior):
+    """Halts its robot from a thread, which waits until all is safe."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.over = asyncio.Event()
+        self.waited = False
+
+    def halt(self) -> None:
+        self.halt_robot("enough").result(timeout=1.0)
+
+    async def run(self) -> None:
+        try:
+            await asyncio.to_thread(self.halt)
+        except TimeoutError:
+            self.waited = True
+        self.over.set()
+
+
+@pytest.mark.promise("REP-2")
+def test_a_thread_that_halts_the_robot_does_not_wait_for_that_in_a_repetition() -> None:
+    """What its halt did is on the tape, with its moment; the thread goes on."""
+
+    def play(loop: TurnLoop, tape: list[Any]) -> bool:
+        stops = Stops()
+
+        async def main() -> None:
+            if loop.player is None:
+                loop.keep(TapeWriter(tape.append))
+            else:
+                loop.play()
+            wheels = FakeActuator("wheels", safe=0.0)
+            async with esair.Robot(resources=[wheels], behaviors=[stops]):
+                await stops.over.wait()
+            loop.keep(None)
+
+        with asyncio.Runner(loop_factory=lambda: loop) as runner:
+            runner.run(main())
+        return stops.waited
+
+    tape: list[Any] = []
+    assert not play(TurnLoop(), tape)
+    assert not play(TurnLoop(player=Player(tape)), tape)
+
+
 def await_nothing(seconds: float) -> None:
     """Keep the loop busy."""
     end = time.monotonic() + seconds
