@@ -29,13 +29,26 @@ def whole_second() -> Awaitable[None]:
 
 
 @pytest.mark.promise("AC-1")
+@pytest.mark.parametrize("is_guarded", [False, True])
 @pytest.mark.parametrize(("ahead", "leaves"), [(0.0, True), (-HAIR, False)])
 async def test_a_command_leaves_until_the_moment_when_it_expires(
-    ahead: float, leaves: bool, user_of: Any
+    ahead: float, leaves: bool, is_guarded: bool, user_of: Any
 ) -> None:
-    """In that moment still: what has expired is past."""
+    """In that moment still, also behind guards: what has expired is past."""
+
+    class Guard(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.guards(float)
+
+        def react(self, sonar: float, wheels: float) -> float:
+            return wheels
+
     wheels, user = FakeActuator("wheels", safe=0.0), user_of("user", wheels=WRITES)
-    async with esair.Robot(resources=[wheels], behaviors=[user]):
+    robot = esair.Robot(
+        resources=[wheels, FakeSensor("sonar", 1.0)],
+        behaviors=[user, *([Guard()] if is_guarded else [])],
+    )
+    async with robot:
         await whole_second()
         expires = asyncio.get_running_loop().time() + ahead
         assert bool(await user.wheels.write(0.5, expires=expires)) is leaves

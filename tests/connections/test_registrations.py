@@ -55,6 +55,19 @@ def test_nothing_is_kept_of_rights_that_are_over() -> None:
 
 
 @pytest.mark.promise("RS-3")
+def test_there_are_as_many_rights_as_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One more is refused, until one of them is over."""
+    monkeypatch.setattr("esair.connections._gate.LIMIT", 2)
+    registrations, terms = Registrations(), Terms("drive", "wheels", WRITE)
+    first = registrations.issue(terms)
+    registrations.issue(terms)
+    with pytest.raises(esair.BusyError, match="number of registrations"):
+        registrations.issue(terms)
+    registrations.revoke(first)
+    registrations.issue(terms)
+
+
+@pytest.mark.promise("RS-3")
 @pytest.mark.parametrize(
     "other",
     [

@@ -652,6 +652,27 @@ async def test_who_wants_a_fresh_value_gets_no_old_one_for_a_bad_one(bad: Any) -
             await user.odd.read(fresh=True, timeout=0.5)
 
 
+async def test_a_bad_value_does_not_lengthen_the_life_of_the_good_one_before() -> None:
+    """That is too old when it would have been without it."""
+
+    class Odd(esair.Derived[float]):
+        left = esair.reads(float)
+        fault_limit = 1000
+
+        def compute(self, left: float) -> float:
+            return left if left < 2.0 else math.nan
+
+    left = encoder("left", 1.0)
+    user: Any = esair.Behavior(name="user", reads={"odd": esair.reads(float)})
+    async with esair.Robot(resources=[left, Odd()], behaviors=[user]):
+        await asyncio.sleep(1.0)
+        assert await user.odd.read() == 1.0
+        left.turn(2.0)
+        await asyncio.sleep(0.5)
+        with pytest.raises(esair.StaleReadingError):
+            await user.odd.read()
+
+
 async def test_a_source_that_is_not_there_is_the_cause_of_its_absence() -> None:
     """Who reads what is computed of it finds the reason."""
     left, right, _ = rover()
