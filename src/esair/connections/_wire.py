@@ -340,7 +340,7 @@ class SafeCommand:
         """Begin with a device that was told nothing."""
         if self._task is None:
             self.state = None
-        self._number, self._stays = 0, False
+        self._number = 0
         self._last_moment = math.inf
 
     def make(self, *, stay: bool = False) -> asyncio.Task[bool]:
