@@ -272,3 +272,18 @@ def test_the_seed_is_the_robots() -> None:
         esair.random.seed(1)
     with pytest.raises(esair.ConfigError, match="seed"):
         esair.Robot(seed="x")  # type: ignore[arg-type]
+
+
+async def test_what_is_no_component_draws_without_a_seed() -> None:
+    """A driver, say: in two robots of one seed it gives other numbers."""
+
+    class Noise(esair.Sensor[float]):
+        async def read(self) -> float:
+            return esair.random.random()
+
+    seen: list[float] = []
+    for _ in range(2):
+        user: Any = esair.Behavior(name="user", reads={"noise": esair.reads(float)})
+        async with esair.Robot(resources=[Noise()], behaviors=[user], seed=7):
+            seen.append(await user.noise.read())
+    assert seen[0] != seen[1]
