@@ -41,6 +41,8 @@ from tests.mutation.mutants import Mutant, mutants_of
 
 SOURCE = Path(__file__).parents[2] / "src/esair"
 MUTATED = ["connections", "supervisors"]
+"""The rooms in which mistakes are made, unless others are named."""
+MEASURED = [*MUTATED, "actions", "loop", "plan", "resources"]
 TESTS = [
     *(f"tests/{room}" for room in ("connections", "supervisors", "protection", "turn")),
     *(f"tests/{room}" for room in ("actions", "resources", "journal", "recording")),
@@ -193,7 +195,7 @@ class Runner:
         wanted = [each.partition(":") for each in self.options.where]
         found = [
             mutant
-            for room in MUTATED
+            for room in (MEASURED if wanted else self.options.rooms)
             for file in sorted((SOURCE / room).glob("*.py"))
             for mutant in mutants_of(file)
             if not wanted
@@ -288,7 +290,7 @@ class Runner:
 
     def _reach(self, baseline: Baseline, names: list[str]) -> int:
         reach = coverage.Coverage(
-            None, config_file=False, source=[str(SOURCE / room) for room in MUTATED]
+            None, config_file=False, source=[str(SOURCE / room) for room in MEASURED]
         )
         reach.start()
         for name in names:
@@ -331,6 +333,9 @@ def main() -> int:
     )
     parser.add_argument(
         "where", nargs="*", help="files, such as _calls.py or _calls.py:96"
+    )
+    parser.add_argument(
+        "--rooms", nargs="+", choices=MEASURED, default=MUTATED, help="in which rooms"
     )
     parser.add_argument("--sample", type=int, default=300, help="how many mutants")
     parser.add_argument("--seed", type=int, default=1, help="which ones")
