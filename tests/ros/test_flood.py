@@ -77,7 +77,40 @@ def test_what_is_too_large_is_told_and_not_sent() -> None:
     box = Outbox(sent.put, None)
     assert box.send(["reading", *HEAD, "/big", 0.0, "x" * LARGEST])
     told = unpack(sent.get(timeout=10.0)[4:])
-    assert told == ["large", *HEAD, "reading /big is larger than 1 MiB"]
+    assert told == ["bad", *HEAD, "reading /big is larger than 1 MiB"]
+
+
+@pytest.mark.promise("ROS-2")
+def test_what_the_robot_would_read_for_too_long_is_not_sent() -> None:
+    """It takes 20,000 items; a text is one, whatever is in it."""
+    sent: queue.Queue[bytes] = queue.Queue()
+    box = Outbox(sent.put, None)
+    box.send(["reading", *HEAD, "/map", 0.0, [[0.5] * 100] * 201])
+    told = unpack(sent.get(timeout=10.0)[4:])
+    assert told == ["bad", *HEAD, "reading /map has over 20000 items"]
+
+    text = "a, b,\n" * 30_000
+    box.send(["reading", *HEAD, "/text", 0.0, {"data": text}])
+    assert unpack(sent.get(timeout=10.0)[4:])[-1] == {"data": text}
+
+
+@pytest.mark.promise("ROS-1", "ROB-3")
+def test_a_message_that_cannot_be_read_is_told() -> None:
+    """The process does not end by it, and hands on what comes after."""
+    said: list[Any] = []
+
+    class Graph:
+        topics: ClassVar[dict[str, Any]] = {"/map": None}
+        missing: ClassVar[dict[str, str]] = {}
+
+    bridge = Bridge(lambda frame: not said.append(frame), lambda: 0.0)  # type: ignore[func-returns-value]
+    bridge.begin(Graph(), {})
+    bridge.took(["follow", *HEAD, {"/map": 10.0}])
+    bridge.heard("/map", lambda: bytes(-1))
+    assert [said[-1][0], *said[-1][6:]] == ["bad", "/map: negative count"]
+    bridge.due.clear()
+    bridge.heard("/map", lambda: 1.0)
+    assert said[-1][6:] == ["/map", 0.0, 1.0]
 
 
 @pytest.mark.promise("ROS-1")

@@ -10,6 +10,7 @@ import json
 import os
 import random
 import signal
+import struct
 import subprocess
 import time
 from collections.abc import AsyncIterator, Callable
@@ -450,6 +451,30 @@ async def test_a_topic_at_a_thousand_hertz_slows_nothing() -> None:
         assert len(late) >= 140, (len(late), rate)
         assert late[len(late) * 95 // 100] < 0.01, (late[-10:], rate)
         assert len(made.wheels.commands) - told >= 30
+
+
+@pytest.mark.promise("ROS-2")
+@pytest.mark.parametrize("numbers", [100_000, 2_000_000])
+async def test_a_topic_with_too_much_in_it_slows_nothing(numbers: int) -> None:
+    """It is told; the robot is on time, and another topic drives on."""
+    made, beating = citizen(), Beating()
+    kind = "std_msgs/msg/Float64MultiArray"
+    data = {"#": base64.b64encode(struct.pack("d", 0.5) * numbers).decode()}
+    made.network.links.append(made.heard("/map", kind))
+    made.sensors.append(made.sensor("map", "/map"))
+    async with judging() as judge, made.robot(beating) as robot:
+        await there(robot)
+        judge.do("publish", "/cmd_vel", "geometry_msgs/msg/Twist", twist(0.3), 50.0)
+        await made.wheels.until(Motion(0.3, 0.0), timeout=10.0)
+        losses = robot.resources.query("ros").losses
+        judge.do("publish", "/map", kind, {"data": data}, 5.0)
+        await until(lambda: made.bus.stats.bad_frames > 0)
+        beating.late.clear()
+        told = len(made.wheels.commands)
+        await asyncio.sleep(3.0)
+        assert sorted(beating.late)[-3] < 0.05
+        assert Motion(0.3, 0.0) in made.wheels.commands[told:]
+        assert robot.resources.query("ros").losses == losses
 
 
 @pytest.mark.promise("ROS-2")

@@ -30,6 +30,8 @@ UNKNOWN = "_NODE_NAME_UNKNOWN_"  # as DDS calls a node of which it has not heard
 SHARE = 4  # readings of one topic that may wait to be sent; what comes then is dropped
 KEPT = 1 << 20  # bytes that may wait: beyond that one reading of a topic
 LARGEST = 1 << 22  # bytes that a frame may have: a message of 1 MiB as text, and more
+MESSAGE = 1 << 20  # bytes that a message of a topic may have
+ITEMS = 20_000  # numbers, or others, that a frame may have: the robot reads no more
 PAUSE = 3.0  # how much longer other work is done after a reading than that has taken
 WAITING = 64  # frames of the robot that may wait, and beats for it
 MOST = 1024  # of anything; a robot that does not listen is no robot, and it ends
@@ -44,7 +46,8 @@ def pack(frame: Any) -> bytes:
         blobs.append(value)
         return _blob(value)
 
-    data = json.dumps(frame, default=blob).encode()
+    # Within a text there is no line break: it counts what there is.
+    data = json.dumps(frame, default=blob, separators=(",\n", ": ")).encode()
     if data.count(b'"#": ') > len(blobs):
         raise ValueError("no field of ROS is called '#'")
     return struct.pack(">I", len(data)) + data
@@ -102,9 +105,10 @@ class Outbox:
         """Let a frame wait; tells whether there was room."""
         if self.room.has(frame):
             data = pack(frame)
-            if len(data) > LARGEST:
-                told = f"{frame[0]} {frame[6]} is larger than 1 MiB"
-                data = pack(["large", *frame[1:6], told])
+            is_long = len(data) > LARGEST
+            if is_long or data.count(b"\n", 4) > ITEMS:
+                size = "is larger than 1 MiB" if is_long else f"has over {ITEMS} items"
+                data = pack(["bad", *frame[1:6], f"{frame[0]} {frame[6]} {size}"])
             self.room.add(frame, len(data))
             self.waiting.put((frame, data))
             return True
@@ -206,7 +210,11 @@ class Bridge:
     def _hand_on(self, topic: str, now: float) -> None:
         if now >= self.due.get(topic, 0.0):
             since, read = self.newest.pop(topic)
-            if self.say("reading", topic, now - since, read()):
+            try:
+                is_said = self.say("reading", topic, now - since, read())
+            except Exception as error:  # others can be read
+                is_said = self.say("bad", f"{topic}: {error}")
+            if is_said:
                 end, pause = self.clock(), 0.9 / self.followed.get(topic, 1.0)
                 self.due[topic] = max(now + pause, end + PAUSE * (end - now))
             else:
@@ -366,12 +374,19 @@ class Graph:
         return qos
 
     def _topic_in(self, name: str, link: dict[str, Any]) -> None:
-        def heard(message: Any) -> None:
-            self.bridge.heard(name, lambda: plain(message))
+        from rclpy.serialization import deserialize_message
+
+        def read(data: bytes) -> Any:
+            if len(data) > MESSAGE:  # to look into it would take too long
+                raise ValueError("it is larger than 1 MiB")
+            return plain(deserialize_message(data, link["class"]))
 
         self.topics[name] = self.node.create_subscription(
-            *(link["class"], name, heard, self._qos(link, 1, False)),
+            *(link["class"], name),
+            lambda data: self.bridge.heard(name, lambda: read(data)),
+            self._qos(link, 1, False),
             callback_group=self.group,
+            raw=True,
         )
 
     def _topic_out(self, name: str, link: dict[str, Any]) -> None:

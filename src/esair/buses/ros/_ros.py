@@ -224,7 +224,7 @@ class Ros:
         if what == "dropped":
             bus.stats.dropped += parts[0]
             return None
-        if what == "large":
+        if what == "bad":
             raise ValueError(parts[0])
         if what == "reading":
             parts[2] = self._named[parts[0]].form.value(parts[2])
