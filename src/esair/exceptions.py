@@ -460,6 +460,22 @@ def in_short(error: BaseException) -> str:
     return printable(" ".join((lost or str(error)).split()))
 
 
+def line_of(error: BaseException) -> str:
+    """Return the last line of the user's own code that an error came by; or nothing."""
+    import linecache
+    import os
+    import traceback
+
+    ours = (os.path.dirname(__file__), os.path.dirname(os.__file__), "<")
+    place = ""
+    for frame, number in traceback.walk_tb(error.__traceback__):
+        file, name = frame.f_code.co_filename, frame.f_code.co_name
+        if not file.startswith(ours):
+            text = linecache.getline(file, number).strip()
+            place = printable(f"{file}, line {number}, in {name}: {text}")
+    return place or (line_of(error.__cause__) if error.__cause__ else "")
+
+
 def wants_traceback() -> bool:
     """Tell whether this program shall show how its errors came about."""
     import os

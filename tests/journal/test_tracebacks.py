@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import logging
 
@@ -9,6 +10,7 @@ import pytest
 
 import esair
 from esair.exceptions import told_traceback
+from esair.journal import tell_where
 
 pytestmark = [pytest.mark.promise("SEC-1"), pytest.mark.virtual_clock]
 
@@ -76,3 +78,38 @@ async def test_any_handler_gets_it_escaped() -> None:
     assert "\x1b" not in said
     assert "\u202e" not in said
     assert not any(line.startswith("12:00:00") for line in said.splitlines())
+
+
+class Eyes(esair.Sensor[float]):
+    """Has a mistake in its code, or no device."""
+
+    def __init__(self, *, is_there: bool) -> None:
+        super().__init__()
+        self.is_there = is_there
+
+    async def read(self) -> float:
+        if not self.is_there:
+            raise FileNotFoundError("/dev/video0")
+        return {"left": 1.0}["right"]
+
+
+@pytest.mark.parametrize("is_there", [True, False])
+async def test_a_mistake_in_a_driver_is_told_with_its_line(
+    caplog: pytest.LogCaptureFixture, is_there: bool
+) -> None:
+    """With the user's own line; a device that is not there has none."""
+    look = esair.Behavior(name="look", reads={"eyes": esair.reads(float)})
+    async with esair.Robot(resources=[Eyes(is_there=is_there)], behaviors=[look]):
+        for _ in range(5):
+            with pytest.raises(OSError, match=r"right|video0"):
+                await look.eyes.read()
+        await asyncio.sleep(0.05)
+
+    record = next(each for each in caplog.records if "lost: " in each.getMessage())
+    tell_where(record)
+    _, *told = logging.Formatter().format(record).splitlines()
+    place = 'in read: return {"left": 1.0}["right"]'
+    assert [each.partition(", line ")[0] for each in told] == (
+        [f"  where: {__file__}"] if is_there else []
+    )
+    assert all(each.endswith(place) for each in told)

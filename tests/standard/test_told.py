@@ -41,6 +41,7 @@ def test_a_crash_ends_a_script_with_one_block(tmp_path) -> None:
     assert code == 1
     assert lines == [
         "plan: failed for good, 0 restarts did not help: KeyError: 'goal'",
+        '  where: rover.py, line 9, in run: return {}["goal"]',
         "BehaviorFailedError: behavior 'plan' failed: KeyError: 'goal'",
         '  where: rover.py, line 9, in run: return {}["goal"]',
         "  to do: mend that line; --traceback shows how it came to that",

@@ -14,7 +14,7 @@ from typing import Final
 from rich.console import Console
 from rich.logging import RichHandler
 
-from esair.journal import Beside, text_of
+from esair.journal import Beside, tell_where, text_of
 
 LAST_MOMENT: Final = 1.0  # How long the end waits for the records that wait, in seconds
 
@@ -79,7 +79,7 @@ class _Handler(logging.Handler):
         record = copy.copy(record)
         record.msg, record.args = text_of(record), None
         if not self._tracebacks:
-            record.exc_info = record.exc_text = None
+            tell_where(record)
         self._beside.hand(record)
 
     def close(self) -> None:

@@ -5,7 +5,7 @@ that a listener does changes an order, a decision or a command.
 """
 
 from esair.journal._journal import BACKLOG, SLICE, Event, Journal, Kind, Listener
-from esair.journal._log_lines import Beside, LogLines, text_of
+from esair.journal._log_lines import Beside, LogLines, tell_where, text_of
 
 __all__ = [
     "BACKLOG",
@@ -16,5 +16,6 @@ __all__ = [
     "Kind",
     "Listener",
     "LogLines",
+    "tell_where",
     "text_of",
 ]

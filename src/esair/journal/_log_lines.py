@@ -14,7 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 
-from esair.exceptions import describe, told_traceback, wants_traceback
+from esair.exceptions import describe, line_of, told_traceback, wants_traceback
 from esair.journal._journal import Journal, Kind, here
 from esair.loop import turn_of
 
@@ -33,13 +33,20 @@ _LOOK = 50  # how often it is asked whether a pipe takes something again, in ms
 def escape_traceback(record: logging.LogRecord) -> bool:
     """Escape the traceback of a line, before any handler has it.
 
-    Where nobody has set up logging a script shows what matters, in one line.
+    Where nobody has set up logging a script shows what matters, and where it was.
     """
     if not handlers_of("esair") and not wants_traceback():
-        record.exc_info = None
+        tell_where(record)
     if record.exc_info and record.exc_info[1] is not None and not record.exc_text:
         record.exc_text = told_traceback(record.exc_info[1])
     return True
+
+
+def tell_where(record: logging.LogRecord) -> None:
+    """Let the user's own line by which an error came stand for its traceback."""
+    error = record.exc_info and record.exc_info[1]
+    place = line_of(error) if error else ""
+    record.exc_info, record.exc_text = None, f"  where: {place}" if place else None
 
 
 def contained(

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import inspect
-import os
 import sys
-import traceback
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
@@ -15,6 +13,7 @@ from esair.exceptions import (
     ConfigError,
     EsairError,
     describe,
+    line_of,
     wants_traceback,
 )
 from esair.values import printable
@@ -22,21 +21,6 @@ from esair.values import printable
 _ESAIR = str(Path(__file__).parents[1])
 _shown: list[BaseException] = []
 """The error with which the last robot of the program has ended."""
-
-
-def line_of(error: BaseException) -> str:
-    """Return the last line of the user's own code that an error came by; or nothing."""
-    frames = [
-        frame
-        for frame in traceback.extract_tb(error.__traceback__)
-        if not frame.filename.startswith((_ESAIR, os.path.dirname(os.__file__), "<"))
-    ]
-    if not frames:
-        return ""
-    last = frames[-1]
-    return printable(
-        f"{last.filename}, line {last.lineno}, in {last.name}: {last.line}"
-    )
 
 
 def class_of(part: object) -> str:

@@ -657,7 +657,9 @@ class ResourceLife:
         if first:
             self.losses += 1
             self.life.tell(Kind.DOWN, cause, in_short(cause))
-            _log.warning("%s: lost: %s", self.name, describe(error))
+            raised = error.__cause__ or error
+            bug = None if isinstance(raised, OSError | EsairError) else raised
+            _log.warning("%s: lost: %s", self.name, describe(error), exc_info=bug)
         elif type(error) is AnotherDeviceError and type(before) is not type(error):
             _log.warning("%s: still lost: %s", self.name, describe(error))
 
