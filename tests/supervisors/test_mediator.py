@@ -757,6 +757,26 @@ async def test_data_is_handed_over_untouched(data: Any) -> None:
         assert await b.receive() is data
 
 
+@pytest.mark.promise("BS-2", "BS-3")
+async def test_a_reaction_refuses_data_at_once() -> None:
+    """It never has an inbox: nobody waits for one."""
+
+    class Reflex(esair.Reaction):
+        rate = 1.0
+
+        def react(self) -> None: ...
+
+    a = Idle(name="a")
+    loop = asyncio.get_running_loop()
+    async with esair.Robot(behaviors=[a, Reflex()]):
+        before = loop.time()
+        with pytest.raises(esair.RefusedError, match=r"'reflex'.*a reaction takes"):
+            await a.put("reflex", 1)
+        with pytest.raises(esair.RefusedError, match=r"'reflex'.*a reaction takes"):
+            await a.get("reflex")
+        assert loop.time() == before
+
+
 @pytest.mark.promise("BS-2")
 async def test_a_put_waits_for_a_behavior_that_is_being_set_up() -> None:
     """A receiver that starts is not ready; it gets the data when it runs."""

@@ -251,6 +251,7 @@ class Behavior(ProfiledAction):
 
         Raises:
             UnknownNameError: No behavior has the name.
+            RefusedError: It is a reaction, or at another robot.
             BehaviorUnavailableError: It could not receive for the interval; it
                 will never see the data.
             BehaviorRemovedError: It was removed meanwhile.
@@ -280,6 +281,7 @@ class Behavior(ProfiledAction):
         Raises:
             BadValueError: The other has given something else.
             UnknownNameError: No behavior has the name.
+            RefusedError: It is a reaction, or at another robot.
             BehaviorUnavailableError: It could not send for the interval.
             CircularRequestError: It waits for this behavior's answer.
             BehaviorRemovedError: It was removed meanwhile.

@@ -140,12 +140,14 @@ class Mailbox:
             self.seat.pack(verb, data)
 
     def check_carries(self) -> None:
-        """Pass if data can be put there, and got from there: not at another robot.
+        """Pass if data can be put there, and got from there.
 
         Raises:
-            RefusedError: It can be asked alone.
+            RefusedError: It is a reaction, or at another robot.
         """
-        if told := getattr(self.action, "asked_alone", ""):
+        is_reaction = isinstance(self.action, Reaction)
+        told = "a reaction takes and gives no data" if is_reaction else ""
+        if told := getattr(self.action, "asked_alone", told):
             raise RefusedError(told, self.name)
 
     def check_speaker(self) -> None:
