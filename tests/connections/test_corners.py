@@ -51,7 +51,9 @@ async def test_what_is_no_registration_opens_nothing():
         table = robot.sensors.channel("sonar").registrations
         forged: Any = "sonar"
 
-        with pytest.raises(esair.NotRegisteredError, match="is no registration"):
+        with pytest.raises(
+            esair.NotRegisteredError, match="'sonar' is no registration: res"
+        ):
             table.check(forged)
 
 

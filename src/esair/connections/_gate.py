@@ -175,7 +175,8 @@ class Registrations:
 def refusal(registration: object, *, is_live: bool = False) -> EsairError:
     """Make the error for the use of a registration that does not allow it."""
     if not isinstance(registration, Registration):
-        return NotRegisteredError("?", "?", f"{registration!r:.80} is no registration")
+        told = f"{registration!r:.80} is no registration: resources.register gives one"
+        return NotRegisteredError("somebody", "a resource", told)
     if registration.reason is not None:
         return registration.reason()
     detail = "its registration was revoked"
