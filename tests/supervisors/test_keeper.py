@@ -13,7 +13,7 @@ import esair
 import esair.watchdog
 from esair.supervisors import _watching
 from esair.supervisors._watching import STARTS
-from esair.testing import FakeActuator
+from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.promise("GRD-1", "GRD-3")]
 
@@ -144,6 +144,44 @@ async def test_nothing_moves_once_it_has_acted(fake: type[FakeWatchdog]) -> None
             await robot.resources.operate(mine, "home")
         assert motor.homed == 1
         assert not any(motor.commands)
+
+
+class Shut(esair.Reaction):
+    """Lets nothing pass."""
+
+    motor = esair.guards(float)
+
+    def react(self, motor: float) -> None: ...
+
+
+class Blind(esair.Reaction):
+    """Never sees anything, so that what is safe alone may pass."""
+
+    eye = esair.reads(float)
+    motor = esair.writes(float, priority=5, blind="safe")
+
+    def react(self, eye: float) -> None: ...
+
+
+@pytest.mark.parametrize(("reaction", "asked"), [(Shut, 1.0), (Blind, 0.0)])
+async def test_what_does_not_move_is_no_motion(
+    fake: type[FakeWatchdog], reaction: type[esair.Reaction], asked: float
+) -> None:
+    """A guard refuses it, or it is safe: a process that stands still is left alone."""
+    motor = Motor("motor", safe=0.0)
+    eye: FakeSensor[float] = FakeSensor("eye", type=float)
+    user: Any = esair.Behavior(name="user", writes={"motor": esair.writes(float)})
+    async with esair.Robot(
+        resources=[motor, eye],
+        behaviors=[user, reaction()],
+        watchdog=True,
+        start_patience=0.05,
+    ):
+        (dog,) = fake.made
+        told = await user.motor.write(asked)
+        assert isinstance(told, esair.Refused) == bool(asked)
+        assert ("moves", "motor") not in dog.told
+    assert set(motor.commands) == {0.0}
 
 
 async def test_what_safe_is_may_change_with_the_settings(

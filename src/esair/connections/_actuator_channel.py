@@ -343,8 +343,8 @@ class ActuatorChannel(Device):
         if wire.lane is not None or self.safe.state is not None:
             halts = self.gate.halts if numbers is None else numbers[0]
             return self._when_idle(registration, command, hold, halts, expires)
-        if wire.bounds:
-            command = self._bounded(command, now)
+        if wire.slews:
+            command = self._slewed(command, now)
         # `Hold` takes it here, in place.  # hot
         if holder is not registration or now + REACHED >= held.begun + held.seconds:
             held.since, held.before = now, getattr(held.writer, "number", 0)
@@ -409,12 +409,9 @@ class ActuatorChannel(Device):
         self.wire.took(command, sent)
         return self._applied(right, command, sent, asked, by)
 
-    def _bounded(self, command: Any, now: float) -> Any:
-        """Ask the watchdog, and bound how fast commands change."""
-        self._check_watch()
+    def _slewed(self, command: Any, now: float) -> Any:
+        """Bound how fast commands change."""
         wire = self.wire
-        if not wire.slews:
-            return command
         # After a pause it starts from the safe command, not with a jump.
         seconds = now - max(self.hold.begun, wire.told.at)
         return wire.slewed(command, min(seconds, wire.command_timeout))
@@ -446,18 +443,14 @@ class ActuatorChannel(Device):
         wire = self.wire
         if wire.lane is not None or self.safe.state is not None:
             return self._when_idle(registration, command, None, self.gate.halts)
-        self._check_watch()
         moved = self.stillness.moves
         guard = self.gate.ticket(registration) if wire.blocks else None
         sent = wire.send(command, registration.behavior, guard)
         if moved and type(sent) is not Call:  # else nobody knows yet whether it came
             self.stillness.disarm()  # that motion is over, and its time-out with it
+            if wire.watch is not None:
+                wire.watch.is_safe()
         return self._sent(sent, registration, command, command, None)
-
-    def _check_watch(self) -> None:
-        watch = self.wire.watch
-        if watch is not None and not watch.may_move():
-            raise StoppingError(self.name, "made safe by the watchdog")
 
     def _protected(self, command: Any) -> tuple[Protection | None, str | None, Any]:
         """Return the guard that refuses a command, who has weakened it, and what passes."""
@@ -745,7 +738,7 @@ class ActuatorChannel(Device):
         if moving:
             self.make_safe(stay=True)
             return False
-        self._check_watch()
+        wire.about_to_move()
         return True
 
     def operating(self, operation: Operating, call: Call) -> None:

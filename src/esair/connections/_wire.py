@@ -15,13 +15,14 @@ import attrs
 
 from esair.connections._calls import Call, End, Guard, Method, translate_call
 from esair.connections._device import Operating
-from esair.connections._values import CommandCheck
+from esair.connections._values import CommandCheck, is_same
 from esair.exceptions import (
     DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
     EsairError,
     NoTurnError,
+    StoppingError,
     describe,
 )
 from esair.flaws import unsound
@@ -98,8 +99,6 @@ class Wire:
     """Whether somebody could change a command after its check."""
     slews: bool = attrs.field(init=False)
     """Whether how fast its commands change is limited."""
-    bounds: bool = attrs.field(init=False)
-    """Whether that is so, or a watchdog is asked for each command."""
     command_timeout: float = attrs.field(init=False)
     turn_within: float = attrs.field(init=False)
     """How long its safe command waits for a write in flight, in seconds."""
@@ -130,7 +129,6 @@ class Wire:
         self.still = HOLD if actuator.safe_moves else actuator.safe
         check = self.check = CommandCheck(actuator)
         self.copies, self.slews = check.copies, check.slews
-        self.bounds = self.slews or self.watch is not None
         method = self._device.driver.method("write")
         self.blocks = method.executor is not None
         write = method.function
@@ -160,6 +158,8 @@ class Wire:
         Raises:
             EsairError: What the driver has raised, as its caller gets it.
         """
+        if self.watch is not None and not is_same(command, self.still):
+            self.about_to_move()
         told = self.told
         before = told.command
         # A copy of its own: who has the answer may change what is in it.
@@ -188,10 +188,14 @@ class Wire:
         """How long its safe command may take in all, in seconds."""
         return self.turn_within + self._deadline + 0.1
 
-    def watch_by(self, watch: Watched | None) -> None:
-        """Ask this watchdog from now on whether it may move."""
-        self.watch = watch
-        self.bounds = self.slews or watch is not None
+    def about_to_move(self) -> None:
+        """Tell the watchdog of a motion that leaves now.
+
+        Raises:
+            StoppingError: It has made the device safe: this process is about to end.
+        """
+        if self.watch is not None and not self.watch.may_move():
+            raise StoppingError(self._device.name, "made safe by the watchdog")
 
     def copied(self, command: Any) -> Any:
         """Return a command that nobody but its holder can change."""

@@ -134,7 +134,7 @@ class Opener:
             await self.apply(changes)
         if isinstance(self._channel, ActuatorChannel):
             await self._channel.safe.at_opening()
-            self._channel.wire.watch_by(self.watch)
+            self._channel.wire.watch = self.watch
 
     def _identify(self, answer: Any) -> None:
         """Remember who the device is, or refuse another one in its place."""
