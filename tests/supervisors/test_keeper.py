@@ -433,6 +433,28 @@ async def test_one_that_dies_often_is_started_less_often(
             assert await user.motor.write(1.0)
 
 
+@pytest.mark.promise("GRD-4")
+async def test_the_answer_of_one_that_died_since_is_none_of_the_next(
+    fake: type[FakeWatchdog],
+) -> None:
+    """It is armed there, too: it was not ready when all that were heard of the new one."""
+    robot, _, _ = robot_with()
+    async with robot:
+        (dog,) = fake.made
+        dog.answers.clear()
+        dog.armed.clear()
+        opened = asyncio.ensure_future(robot.resources.restart("motor"))
+        await asyncio.wait_for(dog.armed.wait(), 10.0)
+        dog.die()
+        while dog.starts == 1:  # noqa: ASYNC110 - it tells nobody
+            await asyncio.sleep(0.01)
+        await asyncio.sleep(0.01)
+        dog.told.clear()
+        dog.answers.set()
+        await asyncio.wait_for(opened, 10.0)
+        assert ("arm", "motor") in dog.told
+
+
 async def test_a_robot_that_ends_does_not_wait_for_a_new_watchdog(
     fake: type[FakeWatchdog],
 ) -> None:

@@ -83,7 +83,7 @@ class Watch:
         while self._is_open:
             number = self._armory.number
             how, why = await outside((name, "arm"), self._arm)
-            if how != _UNARMED or number == self._armory.number:
+            if number == self._armory.number:
                 break  # else another watchdog has come meanwhile
         else:
             return
