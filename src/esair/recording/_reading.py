@@ -13,7 +13,7 @@ import os
 import re
 import struct
 import zlib
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple
 
@@ -223,15 +223,20 @@ def _unpacked(packing: str, packed: memoryview, size: int) -> Any:
     raise _DamagedError
 
 
-def _text(data: memoryview, place: int) -> tuple[str, int]:
+def _blob(data: memoryview, place: int) -> tuple[bytes, int]:
     begin = place + 4
     end = begin + _size(data, place)[0]
     if end > len(data):
         raise _DamagedError
-    return str(data[begin:end], "utf-8"), end
+    return bytes(data[begin:end]), end
 
 
-def _table(data: memoryview, place: int) -> dict[str, str]:
+def _text(data: memoryview, place: int) -> tuple[str, int]:
+    found, end = _blob(data, place)
+    return str(found, "utf-8"), end
+
+
+def _table(data: memoryview, place: int) -> tuple[dict[str, str], int]:
     end = place + 4 + _size(data, place)[0]
     if end > len(data):
         raise _DamagedError
@@ -240,33 +245,24 @@ def _table(data: memoryview, place: int) -> dict[str, str]:
     while place < end:
         key, place = _text(data, place)
         table[key], place = _text(data, place)
-    return table
+    return table, place
 
 
-def _start(data: memoryview) -> Start:
-    return Start(_text(data, 0)[0])
+def _number_at(data: memoryview, place: int) -> tuple[int, int]:
+    return struct.unpack_from("<H", data, place)[0], place + 2
 
 
-def _fact(data: memoryview) -> Fact:
-    name, place = _text(data, 0)
-    return Fact(name, _table(data, place))
+def _made_of(made: Callable[..., Part], *fields: Any) -> Callable[[memoryview], Part]:
+    """Return what reads a part of which nothing but these fields is asked for."""
 
+    def read(data: memoryview) -> Part:
+        values, place = [], 0
+        for each in fields:
+            value, place = each(data, place)
+            values.append(value)
+        return made(*values)
 
-def _shown(data: memoryview) -> Shown:
-    name, place = _text(data, 2)
-    encoding, place = _text(data, place)
-    begin = place + 4
-    end = begin + _size(data, place)[0]
-    return Shown(
-        struct.unpack_from("<H", data)[0], name, encoding, bytes(data[begin:end])
-    )
-
-
-def _topic(data: memoryview) -> Topic:
-    number, schema = struct.unpack_from("<HH", data)
-    name, place = _text(data, 4)
-    encoding, place = _text(data, place)
-    return Topic(number, schema, name, encoding, _table(data, place))
+    return read
 
 
 def _of_message(data: memoryview) -> Message:
@@ -275,12 +271,12 @@ def _of_message(data: memoryview) -> Message:
 
 
 _READ: Final[dict[int, Any]] = {
-    _HEADER: _start,
-    _SCHEMA: _shown,
-    _CHANNEL: _topic,
+    _HEADER: _made_of(Start, _text),
+    _SCHEMA: _made_of(Shown, _number_at, _text, _text, _blob),
+    _CHANNEL: _made_of(Topic, _number_at, _number_at, _text, _text, _table),
     _MESSAGE: _of_message,
     _CHUNK: None,
-    _METADATA: _fact,
+    _METADATA: _made_of(Fact, _text, _table),
 }
 """What reads each kind of part; an index and the like are passed over."""
 
