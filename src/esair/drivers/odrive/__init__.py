@@ -506,13 +506,14 @@ class OdriveAxis(_OnAxis, Actuator[float]):
 
     async def write(self, command: float) -> None:
         """Tell the axis its input, and arm it if that is no safe command."""
+        self._rest = None
         if command is HOLD:
             await self._hold()  # means nothing to one that is not armed
             return
         message, data = encode_input(self.control, command)
-        self._rest = (message, data) if command == self.safe else None
-        if self._rest is not None:
+        if command == self.safe:
             await self._send(message, data)
+            self._rest = message, data
             await self._let_go()
             if self.idle:
                 self._armed_at = None
@@ -530,9 +531,10 @@ class OdriveAxis(_OnAxis, Actuator[float]):
         await self._let_go()
 
     async def _hold(self) -> None:
-        self._holds, self._rest = True, _HELD[1]
+        self._holds = True
         for message, data in _HELD:
             await self._send(message, data)
+        self._rest = message, data
 
     async def _let_go(self) -> None:
         """Have it go to its position, after that was told: not to the one before."""
