@@ -136,6 +136,25 @@ async def test_an_encoder_counts_without_an_end(factory) -> None:
         assert abs((await robot.sensors.read(right, fresh=True)).value) == 40
 
 
+@pytest.mark.promise("SC-3")
+async def test_what_comes_close_is_told_soon(factory) -> None:
+    """The class has the median of nine echoes: it told 0.4 s later, as if it were new."""
+    factory.pin_class = MockPin
+    trigger = factory.pin(
+        6, pin_class=MockTriggerPin, echo_pin=factory.pin(5), echo_time=0.004
+    )
+    sonar = GpiozeroSensor(
+        name="sonar", device="DistanceSensor", arguments={"echo": 5, "trigger": 6}
+    )
+    async with esair.Robot(resources=[sonar], policies=[free("sonar")]) as robot:
+        right = await robot.resources.register("me", "sonar", esair.Access.READ)
+        assert (await robot.sensors.read(right, fresh=True, timeout=3.0)).value > 0.6
+        assert sonar.object.it.queue_len == 3
+        trigger.echo_time = 0.0006
+        await asyncio.sleep(0.6)
+        assert (await robot.sensors.read(right, fresh=True)).value < 0.2
+
+
 @pytest.mark.fault("D15")
 @pytest.mark.parametrize("partial", [True, False])
 async def test_a_distance_without_an_echo_is_none(factory, partial) -> None:
