@@ -215,11 +215,8 @@ DYNAMIXEL_X: Final = Table(
 )
 """The X series of ROBOTIS: the control table of the XL430-W250."""
 
-X330: Final = frozenset({1190, 1200, 1210, 1220, 1230, 1240})
-"""The models of XL330 and XC330, whose table ends earlier."""
-
-X330_LOOK: Final = Entry(208, 10)
-"""What is read of them for a `Snapshot`."""
+X330: Final = dict.fromkeys((1190, 1200, 1210, 1220, 1230, 1240), Entry(208, 10))
+"""What is read for a `Snapshot` of XL330 and XC330, whose table is shorter; by model."""
 
 FEETECH_STS: Final = Table(
     torque=40,
@@ -367,7 +364,7 @@ class ServoBus(SerialBus):
         """
         told = await self._request(servo, "ping", bytes([PING]))
         model = int.from_bytes(told[:2], "little")
-        self._looks[servo] = X330_LOOK if model in X330 else self.table.look
+        self._looks[servo] = X330.get(model, self.table.look)
         return model
 
     async def read(self, servo: int, address: int, size: int) -> int:

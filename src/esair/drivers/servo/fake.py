@@ -21,6 +21,7 @@ from esair.drivers.servo import (
     TORQUE_ENABLE,
 )
 from esair.drivers.servo._bus import (
+    DYNAMIXEL_X,
     PING,
     READ,
     STATUS,
@@ -28,7 +29,6 @@ from esair.drivers.servo._bus import (
     SYNC_WRITE,
     WRITE,
     X330,
-    X330_LOOK,
     Packets,
 )
 from esair.framing import Framing
@@ -45,8 +45,8 @@ LIMIT_ERROR = 6
 STRONGEST, FASTEST, GREATEST, LEAST = 38, 44, 48, 52
 """Where the table has them."""
 
-MAP, MAPPED = 168, 224
-"""Where the table has 28 addresses, and where it has what is at them."""
+MAP = 168
+"""Where the table has addresses; what is at them follows behind."""
 
 
 def packet(servo: int, instruction: int, parameters: bytes) -> bytes:
@@ -65,7 +65,7 @@ class FakeServo:
 
     def __init__(self, *, model: int = 1060, steps: int = CENTER) -> None:
         self.model = model
-        self._mapped = X330_LOOK.address if model in X330 else MAPPED
+        self._mapped = X330.get(model, DYNAMIXEL_X.look).address
         self._size = self._mapped + (self._mapped - MAP) // 2
         self._start(mode=3, steps=steps)
 
