@@ -154,6 +154,8 @@ class Device:
 
     made: ClassVar[list[Device]] = []
 
+    bits_per_word = 16
+
     def __init__(self) -> None:
         self.told: list[tuple[str, int]] = []
         self.closed = False
@@ -200,7 +202,10 @@ def kernel(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 
 @pytest.mark.real_clock
 async def test_the_kernels_bus_has_all_its_chip_selects(kernel: Path) -> None:
-    """Settings go to the kernel only where they change; the close lets all go."""
+    """Settings go to the kernel only where they change; the close lets all go.
+
+    How many bits a word has is what another program has left, which swaps bytes.
+    """
     bus = SpiBus(name="spi", speed=2_000_000)
     await bus.open()
 
@@ -211,6 +216,7 @@ async def test_the_kernels_bus_has_all_its_chip_selects(kernel: Path) -> None:
     await bus.close()
 
     assert [device.told for device in Device.made] == [[], [("speed", 2_000_000)]]
+    assert [device.bits_per_word for device in Device.made] == [8, 8]
     assert all(device.closed for device in Device.made)
 
 

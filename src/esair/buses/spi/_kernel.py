@@ -82,6 +82,7 @@ def _opened(spidev: Any, path: str) -> Any:
     device = spidev.SpiDev()
     try:
         device.open_path(path)
+        device.bits_per_word = 8  # another program may have left it at 16
     except OSError as error:
         raise OSError(
             error.errno, f"{path}: {os.strerror(error.errno or 0)}"
