@@ -140,6 +140,7 @@ class TestActuatorWithoutStatus(Thing, ActuatorContract):
         ("number", "x", b'{"x": 1%b}' % (400 * b"0"), None),
         ("json", None, 100_000 * b"[", None),
         ("number", "x", b"{}", None),
+        ("number", "x", b'{"x": true}', None),
         ("number", "x", b"3", None),
         ("json", None, b"[1]", [1]),
     ],

@@ -256,7 +256,7 @@ class MqttSensor(_OnMqtt, Sensor[Any]):
                 return found
             return {word: value for value, word in self._words.items()}[found]
         if self.kind == "number":
-            number = float(found)
+            number = math.nan if isinstance(found, bool) else float(found)
             if not math.isfinite(number):
                 raise ValueError(found)
             return number
