@@ -257,6 +257,29 @@ async def test_both_ends_of_its_limits_can_be_told(kind: Any, factor: float) -> 
 
 
 @pytest.mark.fault("D26")
+@pytest.mark.parametrize(
+    ("baudrate", "least"), [(9600, 3.5 * 11 / 9600), (115200, 0.00175)]
+)
+async def test_silence_separates_a_request_from_the_answer_before(
+    baudrate: int, least: float
+) -> None:
+    """By the standard a unit takes what comes sooner for the rest of that answer."""
+    line = FakeSerial("plc", framing=RTU, baudrate=baudrate)
+    FakeModbus(line, {8: 80, 9: 90}, unit=3)
+    hear, times = line.on_frame, []
+
+    def heard(message: bytes) -> bytes | None:
+        times.append(asyncio.get_running_loop().time())
+        return hear(message) if hear is not None else None
+
+    line.on_frame = heard
+    flows = [ModbusSensor(name=f"f{n}", unit=3, register=n, bus=line) for n in (8, 9)]
+    await line.open()
+    assert await asyncio.gather(*(flow.read() for flow in flows)) == [80.0, 90.0]
+    assert times[1] - times[0] >= least
+    await line.close()
+
+
 async def test_a_refusal_is_a_fault_and_a_stranger_is_no_answer() -> None:
     """In words; another unit's answer, or one of the wrong size, is not taken."""
     line, unit = make()

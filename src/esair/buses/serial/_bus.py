@@ -79,6 +79,9 @@ def _names() -> str:
 ECHO_LIMIT = 65536
 """How many bytes may be on their way back as an echo."""
 
+LEAST_SILENCE = 0.00175
+"""The shortest silence between messages that need one, in seconds."""
+
 _log = logging.getLogger("esair")
 
 
@@ -156,6 +159,8 @@ class SerialBus(Bus):
         self.port: str = port
         self.baudrate: int = check_whole(name, "baudrate", baudrate, 1)
         self.framing: Framing = make_framing(name, framing)
+        silence = 11 * self.framing.silence / self.baudrate
+        self._silence = max(silence, LEAST_SILENCE) if silence else 0.0
         self.out_limit: int = check_whole(name, "out_limit", out_limit, 1)
         self.write_timeout: float = check_seconds(name, "write_timeout", write_timeout)
         self.bad_limit: int = check_whole(name, "bad_limit", bad_limit, 1)
@@ -328,6 +333,8 @@ class SerialBus(Bus):
         request = self._exchanges.request(*kinds, timeout=seconds, answers=answers)
         request.name = payload
         async with request as exchange:
+            if self._silence:  # or it would be taken for the rest of the last answer
+                await asyncio.sleep(self._silence)
             size = self._put(self.framing.encode(payload), exchange)
             if size:
                 try:
