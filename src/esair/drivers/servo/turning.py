@@ -97,8 +97,8 @@ class ServoCurrent(_Turned):
 
     Args:
         id: The servo's id, 0 to 252; they come with 1.
-        unit: The current of one unit of its table, in A: 0.001 for the XL330; that of
-            XM and XH, 0.00269, or of HLS, 0.0065, unless given.
+        unit: The current of one unit of its table, in A: 0.001 for XL330 and XC330; that
+            of XM and XH, 0.00269, or of HLS, 0.0065, unless given.
         limits: Least and greatest current, in A.
     """
 
