@@ -344,6 +344,19 @@ def test_two_modules_may_have_a_class_of_one_name(micropython, tmp_path) -> None
     assert printed.split()[1::2] == ["0.0", "0.5", "0.5", "0.0"]
 
 
+@pytest.mark.parametrize("base", ["esair", "esair.minimal"])
+def test_a_board_keeps_no_reading_out(tmp_path, base) -> None:
+    """What STD would not let a reaction see, it saw on a board."""
+    wide = "import {base}\nclass Wide({base}.Sensor):\n    limits = (0.0, 4.0)\n"
+    text = wide.format(base=base) + "    def read(self):\n        return 100.0\n"
+    (tmp_path / "wide_parts.py").write_text(text)
+    path = simple(tmp_path, sensor_sonar="wide_parts:Wide")
+
+    with mock.patch.dict(sys.modules):
+        (found,) = misfits(path, tmp_path / "board")
+    assert found == "sensor.sonar: limits: only STD looks at readings: raise in read"
+
+
 def test_infinity_of_the_file_goes_to_the_board(micropython, tmp_path) -> None:
     """A limit that is none is allowed in a robot.toml, and is no name there."""
     path = simple(tmp_path)

@@ -204,6 +204,20 @@ async def test_a_class_may_say_what_only_std_asks() -> None:
 
 
 @pytest.mark.virtual_clock
+async def test_limits_that_a_sensor_of_min_declares_are_kept() -> None:
+    """As those of one of STD: what is beyond them reaches no reaction."""
+
+    class Near(rules.Sonar):
+        limits = (0.0, 4.0)
+
+    sonar, motor = Near(100.0), rules.Motor()
+    sonar.name = "sonar"
+    async with esair.Robot(resources=[sonar, motor], behaviors=[rules.Go()]):
+        await asyncio.sleep(0.5)
+    assert set(motor.told) == {0.0}
+
+
+@pytest.mark.virtual_clock
 async def test_a_sensor_that_cannot_be_opened_comes_when_it_comes() -> None:
     """What its ``open`` raises makes it lost, and it is tried again."""
 

@@ -95,9 +95,10 @@ def _is_plain(key: str, resource: Any, made: Any, misfit: Misfit) -> bool:
     if isinstance(resource, Sensor) and resource.pushes:
         misfit(key, "it has a stream: MIN reads its sensors in each step")
         return False
-    if getattr(resource, "max_repeat", None) is not None:
-        misfit(key, "max_repeat: only STD watches for frozen values")
-        return False
+    for word in ("max_repeat", "limits"):
+        if isinstance(resource, Sensor) and getattr(resource, word, None) is not None:
+            misfit(key, f"{word}: only STD looks at readings: raise in read")
+            return False
     for name in ("identify", "apply") if made is resource else ():
         if getattr(type(made), name) is not getattr(Resource, name):
             misfit(key, f"it has {name}: only STD calls it")

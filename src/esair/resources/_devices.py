@@ -286,7 +286,7 @@ class MinimalSensor(Sensor[Any]):
         rate: dict[str, Any] = {} if device.rate is None else {"rate": device.rate}
         super().__init__(name=_name_of(device), **rate)
         self.device = device
-        _take_over(self, device, "max_repeat", *_OF_STD)
+        _take_over(self, device, "max_repeat", "limits", *_OF_STD)
         _hand_on(self, device, minimal.Sensor, "open", "close", "read")
 
 
