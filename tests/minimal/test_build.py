@@ -344,17 +344,54 @@ def test_two_modules_may_have_a_class_of_one_name(micropython, tmp_path) -> None
     assert printed.split()[1::2] == ["0.0", "0.5", "0.5", "0.0"]
 
 
-@pytest.mark.parametrize("base", ["esair", "esair.minimal"])
-def test_a_board_keeps_no_reading_out(tmp_path, base) -> None:
-    """What STD would not let a reaction see, it saw on a board."""
-    wide = "import {base}\nclass Wide({base}.Sensor):\n    limits = (0.0, 4.0)\n"
-    text = wide.format(base=base) + "    def read(self):\n        return 100.0\n"
-    (tmp_path / "wide_parts.py").write_text(text)
-    path = simple(tmp_path, sensor_sonar="wide_parts:Wide")
+WORDS_OF_STD = """
+import esair
+import esair.minimal
+
+class Wide(esair.Sensor):
+    limits = (0.0, 4.0)
+    def read(self):
+        return 100.0
+
+class WideOfMin(esair.minimal.Sensor):
+    limits = (0.0, 4.0)
+    def read(self):
+        return 100.0
+
+class Arm(esair.Actuator):
+    safe = 0.0
+    safe_moves = True
+    def write(self, command):
+        pass
+
+class Careful(esair.Actuator):
+    safe = 0.0
+    def check(self, command):
+        assert command < 0.5
+    def write(self, command):
+        pass
+"""
+
+
+@pytest.mark.parametrize(
+    ("key", "name", "told"),
+    [
+        ("sensor_sonar", "Wide", "limits: only STD has it"),
+        ("sensor_sonar", "WideOfMin", "limits: only STD has it"),
+        ("actuator_motor", "Arm", "safe_moves: only STD has it"),
+        ("actuator_motor", "Careful", "it has check: only STD calls it"),
+    ],
+)
+def test_what_keeps_a_part_of_std_safe_is_not_left_out(
+    tmp_path, key, name, told
+) -> None:
+    """A board looks at no reading, has no place to stay at, and asks no driver."""
+    (tmp_path / "words_of_std.py").write_text(WORDS_OF_STD)
+    path = simple(tmp_path, **{key: f"words_of_std:{name}"})
 
     with mock.patch.dict(sys.modules):
         (found,) = misfits(path, tmp_path / "board")
-    assert found == "sensor.sonar: limits: only STD looks at readings: raise in read"
+    assert found == f"{key.replace('_', '.')}: {told}"
 
 
 def test_infinity_of_the_file_goes_to_the_board(micropython, tmp_path) -> None:

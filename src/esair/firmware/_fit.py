@@ -14,7 +14,7 @@ import attrs
 from esair import minimal
 from esair.actions import Behavior, MinimalReaction, Reaction
 from esair.config import Description, load, tables_of
-from esair.resources import Actuator, MinimalActuator, MinimalSensor, Resource, Sensor
+from esair.resources import Actuator, MinimalActuator, MinimalSensor, Sensor
 
 Misfit = Callable[[str, str], None]
 Mistakes = Iterator[tuple[str, str]]
@@ -92,15 +92,17 @@ def _is_plain(key: str, resource: Any, made: Any, misfit: Misfit) -> bool:
     if resource.bus is not None:
         misfit(key, "it is on a bus of STD: MIN has devices over machine only")
         return False
-    if isinstance(resource, Sensor) and resource.pushes:
+    base: Any = Sensor if isinstance(resource, Sensor) else Actuator
+    if base is Sensor and resource.pushes:
         misfit(key, "it has a stream: MIN reads its sensors in each step")
         return False
-    for word in ("max_repeat", "limits"):
-        if isinstance(resource, Sensor) and getattr(resource, word, None) is not None:
-            misfit(key, f"{word}: only STD looks at readings: raise in read")
+    for word in ("max_repeat", "limits") if base is Sensor else ("safe_moves",):
+        if getattr(resource, word, None):
+            misfit(key, f"{word}: only STD has it")
             return False
-    for name in ("identify", "apply") if made is resource else ():
-        if getattr(type(made), name) is not getattr(Resource, name):
+    for name in ("identify", "apply", "check") if made is resource else ():
+        has = getattr(type(made), name, None)
+        if hasattr(base, name) and has is not getattr(base, name):
             misfit(key, f"it has {name}: only STD calls it")
             return False
     return True
