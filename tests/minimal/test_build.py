@@ -171,7 +171,7 @@ def test_what_does_not_fit_is_told_at_once(tmp_path) -> None:
     assert any(each.startswith("bus.front: MIN has no buses") for each in found)
     assert any(each.startswith("behavior.explore: it is a behavior") for each in found)
     assert any(each.startswith("actuator.wheels: it is on a bus") for each in found)
-    assert len(found) == 13
+    assert len(found) == 16
 
 
 PARTS = """
@@ -392,6 +392,31 @@ def test_what_keeps_a_part_of_std_safe_is_not_left_out(
     with mock.patch.dict(sys.modules):
         (found,) = misfits(path, tmp_path / "board")
     assert found == f"{key.replace('_', '.')}: {told}"
+
+
+def test_who_runs_when_and_who_guards_what_is_not_left_out(tmp_path) -> None:
+    """On a board the reactions of all modes ran, and a guard stood where it was not."""
+    path = simple(tmp_path)
+    more = """
+        guards = { motor = { latch = true } }
+        [robot]
+        mode = "day"
+        [mode.day]
+        behaviors = ["go"]
+        [mode.night]
+        behaviors = []
+    """
+    path.write_text(path.read_text() + textwrap.dedent(more))
+    guard = SIMPLE.replace("reads, writes", "guards, reads").replace("writes", "guards")
+    guard = guard.replace("(self, sonar)", "(self, sonar, motor)")
+    (tmp_path / "simple_parts.py").write_text(guard)
+
+    found = misfits(path, tmp_path / "board")
+    assert found == [
+        "mode.day: MIN has no modes: all reactions run, always",
+        "mode.night: MIN has no modes: all reactions run, always",
+        "behavior.go.guards: MIN has only what the class says",
+    ]
 
 
 def test_infinity_of_the_file_goes_to_the_board(micropython, tmp_path) -> None:

@@ -63,6 +63,8 @@ def fitting_parts(path: Path, described: Description, misfit: Misfit) -> list[Pa
     told = "MIN checks no rights: a reaction has the profile of its class"
     for name in described.policies:
         misfit(f"access.{name}", told)
+    for name in described.robot.get("modes", ()):
+        misfit(f"mode.{name}", "MIN has no modes: all reactions run, always")
     parts = []
     for name, resource in described.resources.items():
         kind = "sensor" if isinstance(resource, Sensor) else "actuator"
@@ -77,7 +79,7 @@ def fitting_parts(path: Path, described: Description, misfit: Misfit) -> list[Pa
     for name, action in described.behaviors.items():
         key = f"behavior.{name}"
         table = tables["behavior"][name]
-        for word in ("restart", "reads", "writes"):
+        for word in ("restart", "reads", "writes", "guards"):
             if word in table:
                 misfit(f"{key}.{word}", "MIN has only what the class says")
         if isinstance(action, Behavior):
