@@ -521,6 +521,7 @@ def test_what_was_compiled_before_does_not_stay(tmp_path, monkeypatch) -> None:
 
     assert not firmware.build(simple(tmp_path), tmp_path / "board").compiled
     assert not list((tmp_path / "board").rglob("*.mpy"))
+    assert not (tmp_path / "board" / "compiled" / "main.py").exists()
 
 
 def test_an_unknown_board_is_refused(tmp_path) -> None:

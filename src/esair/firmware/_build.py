@@ -212,7 +212,7 @@ def _files_of(modules: Modules) -> dict[str, str]:
 
 
 def _write(files: Mapping[str, str], folder: Path, rate: float, board: Board) -> Built:
-    for stale in (folder / "compiled").rglob("*.mpy"):
+    for stale in (folder / "compiled").rglob("*.*py"):
         stale.unlink()  # of an earlier build: nobody shall copy what it decides
     for name, text in files.items():
         path = folder / name
