@@ -42,11 +42,6 @@ class Line:
         lost: How many lines or messages were left out, as there was no room.
     """
 
-    came: "Any"
-    read: "Any"
-    takes: "Any"
-    write: "Any"
-
     def __init__(
         self, most: int = AT_ONCE, size: int = 768, streams: "Any" = None
     ) -> None:

@@ -74,8 +74,11 @@ def fitting_parts(path: Path, described: Description, misfit: Misfit) -> list[Pa
         elif not isinstance(resource, Sensor | Actuator):
             continue
         table = tables[kind][name]
-        if _is_plain(f"{kind}.{name}", resource, made, misfit):
-            parts.append(Part(kind, name, made, _values(table)))
+        part = Part(kind, name, made, _values(table))
+        if told := next(_of_std(resource, made), ""):
+            misfit(part.key, told)
+        else:
+            parts.append(part)
     for name, action in described.behaviors.items():
         key = f"behavior.{name}"
         table = tables["behavior"][name]
@@ -90,24 +93,20 @@ def fitting_parts(path: Path, described: Description, misfit: Misfit) -> list[Pa
     return parts
 
 
-def _is_plain(key: str, resource: Any, made: Any, misfit: Misfit) -> bool:
-    if resource.bus is not None:
-        misfit(key, "it is on a bus of STD: MIN has devices over machine only")
-        return False
+def _of_std(resource: Any, made: Any) -> Iterator[str]:
+    """Yield what of a device only STD has."""
     base: Any = Sensor if isinstance(resource, Sensor) else Actuator
+    if resource.bus is not None:
+        yield "it is on a bus of STD: MIN has devices over machine only"
     if base is Sensor and resource.pushes:
-        misfit(key, "it has a stream: MIN reads its sensors in each step")
-        return False
+        yield "it has a stream: MIN reads its sensors in each step"
     for word in ("max_repeat", "limits") if base is Sensor else ("safe_moves",):
         if getattr(resource, word, None):
-            misfit(key, f"{word}: only STD has it")
-            return False
+            yield f"{word}: only STD has it"
     for name in ("identify", "apply", "check") if made is resource else ():
         has = getattr(type(made), name, None)
         if hasattr(base, name) and has is not getattr(base, name):
-            misfit(key, f"it has {name}: only STD calls it")
-            return False
-    return True
+            yield f"it has {name}: only STD calls it"
 
 
 def _values(table: Mapping[str, Any]) -> dict[str, Any]:

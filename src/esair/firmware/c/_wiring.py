@@ -207,7 +207,7 @@ class Wiring:
             least_c, most_c = (self._types.literal(x, each) for x in (least, most))
             if output.clamp:
                 if each is INT:  # as MIN moves it: towards zero
-                    least, most = math.trunc(max(low, -(2**31))), most
+                    least = math.trunc(max(low, -(2**31)))
                     most = math.trunc(min(high, 2**31 - 1))
                 at = [self._types.literal(x, each) for x in (least, most)]
                 lines.append(f"if ({value} < {least_c}) {value} = {at[0]};")
