@@ -113,11 +113,6 @@ def _values(table: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in table.items() if key not in _NOT_ATTRIBUTES}
 
 
-def wrong_rate(rate: float) -> str | None:
-    """Say what is wrong with the steps per second of a loop."""
-    return next((told for _, told in _number("rate", rate, _FASTEST, "Hz")), None)
-
-
 def mistakes_in(part: Any, rate: float) -> Mistakes:
     """Yield each field of a part that a board cannot do, and why.
 
@@ -185,8 +180,8 @@ def _in_ports(part: Any) -> Mistakes:
 
 def loop_mistakes(parts: list[Part], rate: float, misfit: Misfit) -> None:
     """Tell what the loop itself would refuse."""
-    if told := wrong_rate(rate):
-        misfit("", f"loop: rate: {told}")
+    for field, told in _number("rate", rate, _FASTEST, "Hz"):
+        misfit("", f"loop: {field}: {told}")
         return
     for part in parts:
         if part.made.name != part.name:  # the file's name is what its adapter has

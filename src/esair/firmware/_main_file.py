@@ -26,8 +26,7 @@ class Imports:
     def lines(self) -> list[str]:
         names: dict[str, list[str]] = {}
         for called, (module, name) in sorted(self._owners.items()):
-            plain = called == name
-            text = name if plain else f"{name} as {called}"
+            text = name if called == name else f"{name} as {called}"
             names.setdefault(module, []).append(text)
         return [
             f"from {module} import {', '.join(each)}"

@@ -99,8 +99,6 @@ class Modules:
         self, wanted: list[str], name: str, node: ast.ImportFrom, key: str
     ) -> None:
         for each in wanted:
-            if each == "minimal":
-                continue
             if each in FACADE:
                 self.facade = True
             elif self._path_of(f"esair.{each}") is not None:
@@ -116,8 +114,6 @@ class Modules:
             self.future = True
         elif target == "esair":
             self.facade = True
-        elif target == "esair.minimal":
-            pass
         elif self._is_ours(target):
             self.add(target, key)
         elif top not in KNOWN_MODULES:

@@ -66,21 +66,22 @@ class Wiring:
         self._terms: list[str] = []
         self._blind_of: dict[str, str] = {}
         self._tasks = [wired[0] for wired in self._loop.tasks]
+        outputs = self._loop.outputs.values()
+        self._ports = [port for output in outputs for port in output.ports]
 
     def program(self) -> Program:
         """Return the robot in C; of what is refused there is nothing in it."""
         outputs = self._loop.outputs.values()
-        ports = [port for output in outputs for port in output.ports]
         guards = [port for output in outputs for port in output.guards]
         for name, kind in self._inputs.items():
             self._lines += self._input(name, kind)
         for name in self._outputs:
             self._lines += [] if name in self._unknown else self._output(name)
         tables = {
-            "task": [self._task(wired, ports) for wired in self._loop.tasks],
+            "task": [self._task(wired) for wired in self._loop.tasks],
             "term": self._terms,
             "input": [*map(self._input_row, self._inputs)],
-            "port": [*map(self._port_row, ports)],
+            "port": [*map(self._port_row, self._ports)],
             "guard": [*map(self._guard_row, guards)],
             "output": [*map(self._output_row, self._outputs)],
         }
@@ -218,7 +219,7 @@ class Wiring:
                 )
         return lines or ["(void)command;"]
 
-    def _task(self, wired: Any, ports: list[Any]) -> str:
+    def _task(self, wired: Any) -> str:
         task, _, terms, *_ = wired
         first, name = len(self._terms), task.name
         for _, source, age, optional in terms:
@@ -236,7 +237,7 @@ class Wiring:
             if guarding:
                 self._guard(task, terms, first)
             else:
-                self._reaction(task, terms, first, ports)
+                self._reaction(task, terms, first)
         except RefusedError as error:
             self._refuse(task.reaction, error)
         pace = 0 if task.reaction.rate is None else task.pace
@@ -262,7 +263,7 @@ class Wiring:
             found[key] = Value(kind, text, True)
         return found
 
-    def _reaction(self, task: Any, terms: Any, first: int, ports: list[Any]) -> None:
+    def _reaction(self, task: Any, terms: Any, first: int) -> None:
         takes = {
             key: self._outputs[port.output.name] for key, port in task.ports.items()
         }
@@ -278,7 +279,7 @@ class Wiring:
         ]
         commands: list[str] = []
         for key, port in task.ports.items():
-            number, name = ports.index(port), port.output.name
+            number, name = self._ports.index(port), port.output.name
             self._lines.append(f"static {takes[key].c} said_{number};")
             wish, kind = "wish", result
             if several:
@@ -335,20 +336,18 @@ class Wiring:
 
     def _port_row(self, port: Any) -> str:
         bar = "ES_NEVER" if math.isinf(port.bar) else str(port.bar)
-        outputs = self._loop.outputs.values()
-        number = [each for output in outputs for each in output.ports].index(port)
         if not -30000 <= port.priority <= 30000:
             error = RefusedError("a priority beyond 30000: take a smaller one")
             self._refuse(port.task.reaction, error)
         return (
-            f"{{{self._task_of(port)}, {self._output_of(port)}, &said_{number}, {port.hold}, "
+            f"{{{self._ends_of(port)}, &said_{self._ports.index(port)}, {port.hold}, "
             f"{port.priority}, {bar}, false}}"
         )
 
     def _guard_row(self, port: Any) -> str:
         name = port.task.name
         return (
-            f"{{{self._task_of(port)}, {self._output_of(port)}, react_{name}, "
+            f"{{{self._ends_of(port)}, react_{name}, "
             f"{self._blind_of.get(name, 'NULL')}, {_c(port.latch)}, false}}"
         )
 
@@ -368,11 +367,10 @@ class Wiring:
             f"{len(output.guards)}, ROBOT_ACTUATOR_{name.upper()}, false, false, false, false}}"
         )
 
-    def _task_of(self, port: Any) -> str:
-        return f"&es_tasks[{self._tasks.index(port.task)}]"
-
-    def _output_of(self, port: Any) -> str:
-        return f"&es_outputs[{[*self._outputs].index(port.output.name)}]"
+    def _ends_of(self, port: Any) -> str:
+        task = self._tasks.index(port.task)
+        output = [*self._outputs].index(port.output.name)
+        return f"&es_tasks[{task}], &es_outputs[{output}]"
 
 
 _SAYS_NOTHING = {minimal.Reaction.blind, actions.Reaction.blind}
