@@ -171,3 +171,67 @@ def test_a_port_hides_nothing_of_its_action() -> None:
             type("Odd", (esair.Behavior,), {attribute: port})
         with pytest.raises(esair.ConfigError, match=f"a '{attribute}' of its own"):
             esair.Behavior(reads={attribute: port})
+
+
+async def test_a_port_of_a_thread_tells_what_every_port_does(
+    fake_sensor: Any,
+) -> None:
+    """Which device it is of, how that is, its newest reading and how old that may be."""
+    told: list[Any] = []
+
+    class Plain(esair.ThreadBehavior):
+        sonar = esair.reads(float, max_age=0.5)
+
+        def run(self) -> None:
+            port = self.sonar
+            value = port.read()
+            told.extend([port.resource, port.state, port.max_age])
+            told.append(port.newest.value == value)
+
+    sonar = fake_sensor("sonar", 1.0)
+    async with esair.Robot(resources=[sonar], behaviors=[Plain()]) as robot:
+        await robot.ended()
+    assert told == ["sonar", esair.ResourceState.READY, 0.5, True]
+
+
+def test_a_guard_holds_no_port() -> None:
+    """It is told where the command is; its class says what it guards."""
+
+    class Guard(esair.Reaction):
+        wheels = esair.guards(float)
+
+    assert Guard.wheels.resource == "wheels"
+    with pytest.raises(AttributeError, match="gets the command as a parameter"):
+        Guard().wheels.resource  # noqa: B018 - it raises
+
+
+def test_what_takes_requests_says_of_which_type() -> None:
+    """Also where no robot runs: who looks for requests is told which."""
+
+    class Dock(esair.Request[int]): ...
+
+    class Dockyard(esair.Behavior):
+        orders = esair.takes(Dock)
+
+    with pytest.raises(esair.NotRegisteredError, match="'Dock'"):
+        Dockyard().orders.waiting  # noqa: B018 - it raises
+
+
+@pytest.mark.parametrize(
+    "call",
+    [esair.Reaction().react, esair.Derived().compute],
+    ids=["react", "compute"],
+)
+def test_what_nobody_has_written_decides_nothing(call: Any) -> None:
+    """It is an error, and no opinion."""
+    with pytest.raises(NotImplementedError):
+        call()
+
+
+async def test_a_thread_without_work_waits() -> None:
+    """As a behavior without a run does: it can be asked for, and goes when it must."""
+    idle = esair.ThreadBehavior(name="idle")
+    async with esair.Robot(behaviors=[idle]) as robot:
+        await asyncio.sleep(1.0)
+        assert robot.behaviors.query("idle").state is esair.BehaviorState.RUNNING
+        await robot.behaviors.remove("idle")

@@ -287,3 +287,21 @@ async def test_what_is_no_component_draws_without_a_seed() -> None:
         async with esair.Robot(resources=[Noise()], behaviors=[user], seed=7):
             seen.append(await user.noise.read())
     assert seen[0] != seen[1]
+
+
+async def test_a_component_can_draw_the_same_again() -> None:
+    """From where it has kept the state of its own stream."""
+
+    class Twice(esair.Behavior):
+        drawn: tuple[float, float]
+
+        async def run(self) -> None:
+            state = esair.random.getstate()
+            first = esair.random.random()
+            esair.random.setstate(state)
+            self.drawn = first, esair.random.random()
+
+    twice = Twice()
+    async with esair.Robot(behaviors=[twice]) as robot:
+        await robot.ended()
+    assert twice.drawn[0] == twice.drawn[1]

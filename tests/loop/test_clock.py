@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gc
 import time
 import weakref
@@ -11,7 +12,7 @@ from collections.abc import Callable
 import pytest
 import uvloop
 
-from esair.loop import Deadlines, Scheduler, clock_of
+from esair.loop import Deadlines, Scheduler, TurnLoop, clock_of
 from esair.testing import VirtualLoop
 
 LOOPS = pytest.mark.parametrize(
@@ -70,3 +71,12 @@ def test_what_belongs_to_a_loop_goes_with_it(kind) -> None:
     gc.collect()
 
     assert gone() is None
+
+
+def test_the_moment_of_a_timer_is_a_number() -> None:
+    """It can be compared with any other, also with an equal one."""
+    with contextlib.closing(TurnLoop()) as loop:
+        timer = loop.call_at(5.0, print)
+        assert not timer.when() < 5.0
+        assert timer.when() < 6.0
+        assert timer.when() < loop.call_at(5.0, print).when()

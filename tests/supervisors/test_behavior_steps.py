@@ -241,6 +241,29 @@ async def test_it_speaks_in_its_performers_name() -> None:
         assert captain.outcome == ("captain", 5)
 
 
+async def test_only_its_run_need_be_async() -> None:
+    """Its setup and teardown may be plain."""
+    done: list[str] = []
+
+    class Half(esair.Behavior):
+        def setup(self) -> None:  # type: ignore[override]
+            done.append("setup")
+
+        async def run(self) -> str:
+            done.append("run")
+            return "over"
+
+        def teardown(self) -> None:  # type: ignore[override]
+            done.append("teardown")
+
+    async def act(self: Captain) -> Any:
+        return await self.perform(Half())
+
+    outcome, _ = await told(act)
+    assert outcome == "over"
+    assert done == ["setup", "run", "teardown"]
+
+
 async def test_a_step_may_be_plain_and_have_steps() -> None:
     """In a thread of its own, with what it performs."""
 
