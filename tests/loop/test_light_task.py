@@ -200,3 +200,18 @@ async def test_a_cancellation_between_two_coroutines_is_that_of_neither() -> Non
     assert light.cancelling() == 0
     light.then(lambda *end: outcome.set_result(end))
     assert await outcome == (7, None)
+
+
+async def test_a_light_task_has_the_name_that_it_is_given() -> None:
+    """As any task has: a driver may call its own as it likes."""
+    loop = asyncio.get_running_loop()
+
+    async def work() -> str:
+        task = asyncio.current_task()
+        assert task is not None
+        task.set_name("polls the bus")
+        return task.get_name()
+
+    light = LightTask(loop, "driver")
+    light.then(lambda _value, _error: None)
+    assert light.begin(work()) == "polls the bus"

@@ -91,6 +91,21 @@ def test_the_table_names_writers_and_guards() -> None:
     assert row.when_the_host_dies == "it keeps its last command"
 
 
+def test_what_guards_in_the_device_itself_comes_last() -> None:
+    """After all guards of the robot, whose priorities say nothing about it."""
+
+    class Board(Motor):
+        own_guards = ("bumper",)
+
+    plan = Plan(
+        resources=[parts.Sonar(), Board(name="wheels")],
+        behaviors=[parts.Drive(), Watch()],
+    )
+    (row,) = protection(plan)
+    guards = [(each.reaction, each.priority) for each in row.guards]
+    assert guards == [("watch", 0), ("bumper", 0)]
+
+
 def test_what_moves_without_protection_is_found() -> None:
     """It says that it moves, a behavior writes it, and nobody is above."""
     (finding,) = told(parts.Drive())

@@ -470,3 +470,32 @@ def test_what_does_nothing_is_told(behavior: esair.Behavior, count: int) -> None
     """A class of its own is there to do something."""
     findings = examine(Plan(resources=[], behaviors=[behavior]))
     assert [each.field for each in findings] == ["run"] * count
+
+
+@pytest.mark.parametrize(
+    ("resource", "access", "told"),
+    [
+        ("sonar", Access.READ, ""),
+        ("sonar", Access.CONFIGURE, "read"),
+        ("wheels", Access.WRITE, ""),
+        ("wheels", Access.READ, "write"),
+        ("arm", Access.WRITE, ""),
+        ("arm", Access.READ, "write"),
+        ("eye", Access.READ, ""),
+        ("eye", Access.CONFIGURE, "read"),
+    ],
+)
+def test_a_policy_that_lets_nobody_use_it_is_told(
+    resource: str, access: Access, told: str
+) -> None:
+    """To read a sensor, to write an actuator; also of one that could not be made."""
+    plan = Plan(
+        resources=[parts.Sonar(), parts.Wheels()],
+        behaviors=[parts.Drive()],
+        policies=[Policy(resource, allow={"*": access})],
+        missing={"arm": "actuator", "eye": "sensor"},
+    )
+    (words,) = [each.text for each in examine(plan) if each.rule == "rights"] or [""]
+    assert words == (
+        told and f"nobody here may {told} it: no behavior of the robot is allowed to"
+    )
