@@ -157,11 +157,6 @@ class Door(OfTurn):
         """Whether something is to be taken at the next border."""
         return bool(self.entries) or (self.wakes and not self.holds)
 
-    @property
-    def held(self) -> bool:
-        """Whether work was given out that has not begun."""
-        return bool(self._held)
-
     def give_out(
         self,
         begin: Callable[[int], None],
