@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 import esair
+from esair.journal import Event, Kind
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
@@ -105,9 +106,13 @@ async def test_times_must_be_numbers_of_seconds(value: Any) -> None:
     """What could disturb the clock of the loop is refused before it gets there."""
     sonar, wheels = devices()
     idle = Idle()
-    async with esair.Robot(resources=[sonar, wheels], behaviors=[idle]):
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[idle]) as robot:
+        told: list[Event] = []
+        robot.journal.listen(told.append, kinds=(Kind.REGISTERED,))
         with pytest.raises(esair.BadValueError, match="max_age"):
             await idle.register("sonar", esair.Access.READ, max_age=value)
+        await asyncio.sleep(0.01)
+        assert not told  # it has no right left of that
         with pytest.raises(esair.BadValueError, match="timeout"):
             await idle.perform(Follow(), timeout=value)
 

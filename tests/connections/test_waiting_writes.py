@@ -12,7 +12,7 @@ import esair
 from esair.buses import Bus
 from esair.journal import Event, Kind
 from esair.loop import Deadlines
-from esair.testing import FakeActuator
+from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("AC-1")]
 
@@ -241,3 +241,66 @@ async def test_one_that_meets_a_safe_command_has_its_time_after_that(
         assert await waits
         assert await first
         assert motor.commands == [0.0, 1.0, 0.0, 2.0]
+
+
+async def test_one_that_is_no_good_any_more_when_its_turn_comes_is_told_so(
+    user_of: Any,
+) -> None:
+    """The device may have changed what it can take; the next one has its turn."""
+
+    class Picky(Motor):
+        most = 10.0
+
+        def check(self, command: float) -> None:
+            if command > self.most:
+                raise esair.BadValueError(self.name, "", f"at most {self.most}")
+
+    motor, user = Picky(), user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]):
+        writes = [asyncio.create_task(user.motor.write(n)) for n in (1.0, 5.0, 2.0)]
+        await asyncio.sleep(0)
+        motor.most = 3.0
+        first, second, third = await asyncio.gather(*writes, return_exceptions=True)
+        assert first
+        assert isinstance(second, esair.BadValueError)
+        assert third
+        assert motor.commands == [0.0, 1.0, 2.0]
+
+
+async def test_what_was_applied_of_one_that_has_waited_is_told(user_of: Any) -> None:
+    """As the device has said, not as it was asked for."""
+
+    class Weak(Motor):
+        async def write(self, command: float) -> float:  # type: ignore[override]
+            await super().write(command)
+            return command / 2
+
+    told: list[Event] = []
+    motor, user = Weak(), user_of("user", motor=esair.writes(float))
+    async with esair.Robot(resources=[motor], behaviors=[user]) as robot:
+        robot.journal.listen(told.append, kinds=(Kind.APPLIED,))
+        assert await user.motor.write(1.0)
+        await asyncio.sleep(0.01)
+        assert [(each.peer, each.value) for each in told] == [("user", 0.5)]
+
+
+@pytest.mark.promise("PRO-1")
+async def test_what_a_reaction_wanted_next_is_not_sent_once_it_is_blind() -> None:
+    """Its command was on its way when the sensor was lost: what follows is safe alone."""
+
+    class Follow(esair.Reaction):
+        sonar = esair.reads(float)
+        motor = esair.writes(float, blind="release")
+
+        def react(self, sonar: float) -> float:
+            return sonar
+
+    motor, sonar = Motor(), FakeSensor("sonar", 1.0, type=float)
+    async with esair.Robot(resources=[motor, sonar], behaviors=[Follow()]):
+        await motor.until(1.0, timeout=1.0)
+        sonar.feed(2.0)
+        await soon()
+        sonar.unplug()
+        await asyncio.sleep(4.0)
+        assert motor.commands[-1] == 0.0
+        assert 2.0 not in motor.commands

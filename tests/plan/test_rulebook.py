@@ -499,3 +499,37 @@ def test_a_policy_that_lets_nobody_use_it_is_told(
     assert words == (
         told and f"nobody here may {told} it: no behavior of the robot is allowed to"
     )
+
+
+class Sees(esair.Reaction):
+    sonar = esair.reads(float)
+    wheels = esair.guards(float)
+
+    def react(self, sonar: float, wheels: float) -> float:
+        return wheels
+
+
+class Given(esair.Behavior):
+    def __init__(self, what: object) -> None:
+        super().__init__()
+        self.what = what
+
+
+@pytest.mark.parametrize(
+    ("behavior", "told"),
+    [
+        (Sees(), "a guard stays in the robot's process: commands cannot wait for "
+         "another: place what it reads as a sensor, or write it as a reaction"),
+        (Given(print), "[0] cannot be sent to a process"),
+        (Given([1.0]), ""),
+    ],
+)  # fmt: skip
+def test_what_cannot_live_in_a_process_is_told(
+    behavior: esair.Behavior | esair.Reaction, told: str
+) -> None:
+    """A guard, and what is made of something that is no plain data."""
+    behavior.placement = "process"
+    plan = Plan(resources=[parts.Sonar(), parts.Wheels()], behaviors=[behavior])
+    words = [str(each) for each in errors_in(examine(plan))]
+    assert len(words) == bool(told)
+    assert all(told in each for each in words)

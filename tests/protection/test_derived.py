@@ -454,6 +454,13 @@ class _Moved(esair.Derived[float]):
         return wheels
 
 
+class _Untyped(esair.Derived[float]):
+    left = esair.reads("left")  # type: ignore[var-annotated, arg-type]
+
+    def compute(self, left: Any) -> float:
+        return 0.0
+
+
 class _Threaded(_Itself):
     other = esair.reads(float, name="left")
 
@@ -473,6 +480,7 @@ class _Threaded(_Itself):
         (_Silent(), "a derived sensor must have a compute method"),
         (_Asked(), "has no read, stream or initial value"),
         (_Moved(), "its last command is read as name='wheels.applied'"),
+        (_Untyped(), "expected a type such as float, not 'left'"),
         (_Threaded(), "expected async def"),
     ],
 )
