@@ -494,7 +494,6 @@ class Member:
     def stopped(self) -> None:
         """Its tasks have ended, or would not: it is gone."""
         self.task = None
-        self.mail.carriers = ()
         if self.mail.seat is not None:
             self.mail.seat.rise()
         take_back(self.action, self, self.portal)
@@ -524,7 +523,6 @@ class Member:
         self._no_restart()
         self._is_ready()
         self.task = self.gate = None
-        self.mail.carriers = ()
         self.life.fill()
         self._cut_off(None)
 

@@ -630,7 +630,6 @@ class OrderQueue(RequestQueue):
         self.working.clear()
         self._loops.clear()
         wake(*self._takers)
-        self._takers.clear()
 
     # In a loop of the behavior.
 
@@ -671,8 +670,7 @@ async def wait_among(
     finally:
         if timer is not None:
             timer.cancel()
-        if taker in takers:
-            takers.remove(taker)
+        takers.remove(taker)
 
 
 class Loop(AsyncIterator[Any]):
