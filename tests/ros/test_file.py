@@ -187,6 +187,7 @@ async def test_what_it_stands_for(file: Path) -> None:
         ("domain = 7", "domain = -1", "domain", "expected 0 to 232"),
         ("domain = 7", 'namespace = "x y"', "namespace", "expected letters, digits"),
         ("domain = 7", 'node = "1st"', "node", "expected letters, digits"),
+        ("priority = 5", "latched = true", "latched", "a command of before would"),
         ("priority = 5", "priorty = 5", "priorty", "did you mean 'priority'"),
         ('sensor = "scan"', 'sensor = "where"', "scan", "a sensor 'where' already"),
         ('services."/dock"', 'services."/scan"', "services", "a topic '/scan' already"),
@@ -301,4 +302,22 @@ def test_what_is_found_becomes_lines_of_a_file(file: Path) -> None:
     module = next(file.parent.glob("ros_*.py")).stem
     lines = lines.replace("module:Class", f"{module}:Dock")
     file.write_text(text[:begin] + lines + "\n" + text[end:])
+    assert [each for each in check(file).findings if each.severity == "error"] == []
+
+
+def test_what_is_found_has_no_name_twice(file: Path) -> None:
+    """Nor what is no command for an actuator, or more lines than it is."""
+    text = ["std_msgs/msg/String"], ["talker\n[actuator.wheels]"], []
+    twist = ["geometry_msgs/msg/TwistWithCovarianceStamped"], ["ekf"], []
+    names = ("/scan", "/a/b", "/a_b", "/A_B", "/ros", "/wheels", "/both", "/_hidden")
+    graph = {
+        "topics": [*([name, *text] for name in names), ["/measured", *twist]],
+        "services": [["/both", ["std_srvs/srv/Trigger"], [], []]],
+        "actions": [],
+    }
+    lines = "\n".join(lines_of(graph))
+    assert "drive" not in lines
+    whole = file.read_text()
+    begin, end = whole.index("[ros.topics"), whole.index("[sensor.where]")
+    file.write_text(whole[:begin] + lines + "\n" + whole[end:])
     assert [each for each in check(file).findings if each.severity == "error"] == []
