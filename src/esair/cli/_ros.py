@@ -15,6 +15,8 @@ from esair.seat import connect
 from esair.values import printable
 
 _OF_EVERY_NODE = ("/rosout", "/parameter_events")
+_OF_NODES = ("rcl_interfaces/", "type_description_interfaces/")
+_MOTIONS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 
 
 def ros(
@@ -70,34 +72,35 @@ def ros(
 
 def lines_of(graph: dict[str, Any]) -> Iterator[str]:
     """Yield lines of a robot.toml for what is in a graph: each to be made fit."""
+    parts, names = {"ros", "wheels"}, set(_OF_EVERY_NODE)
     for kind, found in graph.items():
         for name, types, gives, takes in found:
-            if name in _OF_EVERY_NODE or "/_action/" in name or not types:
+            if name in names or "/_" in name or not types:  # it is hidden
                 continue
-            if kind == "services" and "/srv/" in types[0] and _of_node(types[0]):
+            if types[0].startswith(_OF_NODES):
                 continue
             part = name.strip("/").replace("/", "_").lower()
+            while part in parts:
+                part += "_"
+            parts.add(part)
+            names.add(name)  # a robot has one table of a name
             who = f"published by {', '.join(gives)}" if gives else ""
             who += f"; heard by {', '.join(takes)}" if takes else ""
             yield ""
             yield f"[ros.{kind}.{json.dumps(name)}]" + (
-                f"  # {who.strip('; ')}" if who else ""
+                f"  # {printable(who.strip('; '))}" if who else ""
             )
             yield f"type = {json.dumps(types[0])}"
             if len(types) > 1:
-                yield f"# also {', '.join(types[1:])}: they do not meet"
+                told = printable(", ".join(types[1:]))
+                yield f"# also {told}: they do not meet"
             if kind != "topics":
                 yield f"behavior = {json.dumps(part)}"
                 yield 'request = "module:Class"'
             elif not gives:
                 yield 'publish = "a sensor of this robot"'
-            elif types[0].startswith("geometry_msgs/msg/Twist"):
+            elif types[0] in _MOTIONS:
                 yield 'drive = "wheels"'
                 yield "priority = 5"
             else:
                 yield f"sensor = {json.dumps(part)}"
-
-
-def _of_node(kind: str) -> bool:
-    """Whether every node has such a service."""
-    return kind.startswith(("rcl_interfaces/", "type_description_interfaces/"))
