@@ -123,7 +123,7 @@ async def test_a_command_does_not_come_again_behind_a_newer_one(between: int) ->
         head = Head(bus._its_run, bus._its_beat + 1, bus._run, bus._beats, 0.0)
 
         def come(what: str, *parts: Any) -> None:
-            data = packed(head, parts, bus.kinds)
+            data = packed(head, tuple(parts), bus.kinds)
             pair.network.inject("rover", "base", what, data)
 
         come("write", 1, "wheels", Twist(0.5, 0.0))
@@ -197,7 +197,8 @@ async def test_what_is_asked_for_by_a_huge_name_crashes_nobody(serves: bool) -> 
         bus = pair.to_rover
         if not serves:
             await base.behaviors.remove("rover")
-        for what, part in (
+        for what, *parts in (
+            ("release", 7, "x" * 1_000_000),
             ("follow", {bytes(400_000): 1.0}),
             ("follow", {"x" * 600_000: 1.0}),
             ("pending", ["x" * 1_048_400]),
@@ -206,10 +207,12 @@ async def test_what_is_asked_for_by_a_huge_name_crashes_nobody(serves: bool) -> 
         ):
             head = Head(bus._its_run, bus._its_beat, bus._run, bus._beats, 0.0)
             sent = bus.stats.sent
-            data = packed(head, (part,), bus.kinds)
+            pair.network.log.clear()
+            data = packed(head, tuple(parts), bus.kinds)
             pair.network.inject("rover", "base", what, data)
             await asyncio.sleep(0.02)
             assert bus.stats.sent - sent < 10
+            assert all(len(data) < 1000 for *_, data in pair.network.log)
         if serves:
             assert base.behaviors.query("rover").restarts == 0
             assert await hand.wheels.write(Twist(0.2, 0.0))
@@ -301,6 +304,27 @@ async def test_a_peer_that_lies_of_a_write(answer: tuple[object, ...]) -> None:
         await asyncio.sleep(1.0)
         with pytest.raises(esair.DeviceFaultError, match="far_wheels"):
             await hand.wheels.write(Twist(0.1, 0.0))
+        await pair.to_rover.close()
+
+
+@pytest.mark.promise("NET-6", "ROB-3")
+@pytest.mark.parametrize("how", ["refused", "lost", "failed"])
+async def test_a_peer_that_says_too_much_of_a_write(how: str) -> None:
+    """Its words can be shown: in one line, of which no more than is read is kept."""
+    pair, hand, told = Pair(), Hand(), "\x1b[2J\n" + "x" * 500_000
+    answer = (told, 0, told, 0.1, None) if how == "refused" else told
+    pair.to_rover.serve(Liar(pair, how, answer).serve)
+    async with pair.rover(hand):
+        await pair.to_rover.open()
+        await asyncio.sleep(1.0)
+        try:
+            refused = await hand.wheels.write(Twist(0.1, 0.0))
+            said = f"{refused.holder} {refused.rule}"
+        except esair.EsairError as error:
+            said = str(error)
+        assert "x" in said
+        assert said.isprintable()
+        assert len(said) < 1000
         await pair.to_rover.close()
 
 

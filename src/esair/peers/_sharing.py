@@ -187,7 +187,7 @@ class Sharing(Behavior):
                         task.cancel()
                     self._feeds.clear()
                 else:
-                    self._not_shared(parts[0], parts[1])
+                    self._answer(parts[0], "lost", self._not_shared(parts[1]))
 
     def _compare(self, pending: list[Any]) -> None:
         """End what nobody waits for any more, and tell what is not worked on here.
@@ -211,8 +211,8 @@ class Sharing(Behavior):
         except BadValueError as error:
             self.bus.say("answer", number, "failed", describe(error))
 
-    def _not_shared(self, number: int, name: str) -> None:
-        self._answer(number, "lost", f"{name!r} is not shared with {self.name!r}")
+    def _not_shared(self, name: Any) -> str:
+        return f"{name!r:.80} is not shared with {self.name!r}"
 
     # Actuators.
 
@@ -272,8 +272,7 @@ class Sharing(Behavior):
         for name, rate in wanted.items():
             share = self.shares.get(name)
             if share is None or share.access != "read" or not is_positive(rate):
-                told = f"{name!r:.80} is not shared with {self.name!r}"
-                self.bus.say("gone", f"{name!s:.80}", told)
+                self.bus.say("gone", f"{name!s:.80}", self._not_shared(name))
                 continue
             self._pauses[name] = 1.0 / min(rate, share.rate)
             if name not in self._feeds:
@@ -337,7 +336,7 @@ class Sharing(Behavior):
     ) -> None:
         share = self.shares.get(name)
         if share is None or share.access != "ask":
-            told = f"{name!r:.80} is not shared with {self.name!r}"
+            told = self._not_shared(name)
         elif not isinstance(request, Request):
             told = f"expected a request, not {type(request).__name__}"
         elif now() - since > SILENCE:

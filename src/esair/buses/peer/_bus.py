@@ -36,6 +36,7 @@ from esair.exceptions import (
     ConfigError,
     DeviceLostError,
     describe,
+    printable,
 )
 from esair.loop import arrive, fail, spawn, turn_of
 from esair.messages import Stamped
@@ -54,7 +55,7 @@ _FOLLOW_AGAIN = 20  # beats after which the peer is told again what is wanted
 _OVER = 8  # runs that are over of which it is known
 _KEPT = 128  # beats of which it is known when they were sent
 _IN_BEAT = 1 << 14  # messages of one beat: each is known if it comes twice
-_WORDS = 400  # letters of why a part is gone: in a circle they would be ever more
+_WORDS = 400  # letters of what is said for people: in a circle they would be ever more
 _PENDING = 64  # requests that wait for their answers
 _READINGS = 16  # readings of a sensor that wait to be taken
 
@@ -409,12 +410,14 @@ class PeerBus(Bus):
             if (request := self._pending.get(parts[0])) is None:
                 self.stats.late += 1
             elif what == "answer":
-                arrive(request.outcome, parts[1:])
+                how, told = parts[1:]
+                is_value = how in {"answered", "written"}
+                arrive(request.outcome, (how, told if is_value else _in_words(told)))
             else:
                 request.progress(parts[1])
         else:
             if what == "gone":
-                parts = parts[0], parts[1][:_WORDS]
+                parts = parts[0], _in_words(parts[1])
                 for listener in tuple(self.when_gone):
                     listener(*parts)
             wanted = [
@@ -582,6 +585,15 @@ class PeerBus(Bus):
         """Hand on nothing to a function any more, unless another one serves now."""
         if self._serve == serve:
             self._serve = None
+
+
+def _in_words(told: Any) -> Any:
+    """Return what a peer says for people so that a log can show it, and not too long."""
+    if type(told) is tuple:
+        return tuple(map(_in_words, told))
+    if told is None or type(told) in {int, float}:
+        return told
+    return printable(str(told)[:_WORDS])
 
 
 def _is_again(heard: tuple[float, float, Any], now: tuple[float, float, Any]) -> bool:

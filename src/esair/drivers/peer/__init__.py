@@ -297,5 +297,5 @@ class PeerActuator(Actuator[Any]):
                 until = None if left is None else now + left
                 return Refused(f"{bus.name}:{holder}", priority, rule, now - age, until)
             case "lost", str(told):
-                raise DeviceLostError(self.name, f"{bus.name!r} says: {told:.400}")
+                raise DeviceLostError(self.name, f"{bus.name!r} says: {told}")
         raise DeviceFaultError(self.name, f"{bus.name!r} says: {value!r:.200}")
