@@ -206,6 +206,21 @@ def test_what_an_actuator_was_told_is_shared_as_a_sensor(files: Files) -> None:
     ("file", "old", "new", "key", "told"),
     [
         ("base", "[share.sonar]", "[share.sonnar]", "share.sonnar", "mean 'sonar'"),
+        ("base", 'to = ["rover"]', 'to = ["rover", "X Y"]', "share.sonar.to", "a name"),
+        (
+            "base",
+            "[share.sonar]",
+            "[share.sonar]\npriority = 5",
+            "share.sonar.priority",
+            "it is for actuators, and 'sonar' is of the kind sensor",
+        ),
+        (
+            "base",
+            "[share.wheels]",
+            "[share.wheels]\nrate = 5.0",
+            "share.wheels.rate",
+            "it is for sensors, and 'wheels' is of the kind actuator",
+        ),
         ("base", "127.0.0.1", "0.0.0.0", "network.listen", "insecure = true"),
         ("base", 'name = "base"', 'name = "rover"', "network", "no peer of itself"),
         ("base", "listen", "connect", "network.connect", "listens nowhere"),

@@ -89,14 +89,14 @@ def read_peers(draft: Draft) -> Peers | None:
     variant = joined(draft, "network")
     name = variant.table.pop("name", draft.robot["name"])
     me = source.convert(name, str, variant.keys.get("name", "network.name"))
-    shared = (each for share in shares.values() for each in share.to)
+    shared = {each: f"{dotted('share', n)}.to" for n in shares for each in shares[n].to}
     names = tuple(dict.fromkeys([*remotes, *shared]))
     given = {"me": me, "peers": names}
     network = construct(source, Network, str(me), "network", variant, given=given)
     for peer in names:
-        if source.is_name("peer", peer, "share"):
-            about = "remote" if peer in remotes else "share"
-            add_table(source, f"{about}.{peer}", "sensor", peer, "Peer", {}, peer)
+        key = dotted("remote", peer) if peer in remotes else shared[peer]
+        if source.is_name("peer", peer, key):
+            add_table(source, key, "sensor", peer, "Peer", {}, peer)
     for peer, found in remotes.items():
         for kind, name, table in found:
             if kind != "behavior":
@@ -185,7 +185,12 @@ def add_behaviors(draft: Draft, peers: Peers) -> None:
     shared: dict[str, list[Any]] = {peer: [] for peer in peers.names}
     for name, share in peers.shares.items():
         key, limits = dotted("share", name), (share.priority, share.rate)
-        one = share_of(draft, key, part_of(draft, key, name, *_ACCESS), *limits)
+        part = part_of(draft, key, name, *_ACCESS)
+        for field, kind in (("priority", "actuator"), ("rate", "sensor")):
+            if part and part.kind != kind and field in draft.source.data["share"][name]:
+                told = f"it is for {kind}s, and {name!r} is of the kind {part.kind}"
+                draft.source.mistakes.add(f"{key}.{field}", told)
+        one = share_of(draft, key, part, *limits)
         for peer in share.to:
             shared[peer].append(one)
     for peer, shares in shared.items():
