@@ -31,6 +31,7 @@ from esair.connections import (
     translate,
 )
 from esair.exceptions import (
+    DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
     EsairError,
@@ -657,7 +658,7 @@ class ResourceLife:
         if first:
             self.losses += 1
             self.life.tell(Kind.DOWN, cause, in_short(cause))
-            raised = error.__cause__ or error
+            raised = error.__cause__ if isinstance(error, DeviceFaultError) else error
             bug = None if isinstance(raised, OSError | EsairError) else raised
             _log.warning("%s: lost: %s", self.name, describe(error), exc_info=bug)
         elif type(error) is AnotherDeviceError and type(before) is not type(error):
