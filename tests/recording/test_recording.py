@@ -223,6 +223,7 @@ async def test_a_place_that_cannot_be_written_stops_no_start(
     fake_sensor, fake_actuator, tmp_path: Path, caplog
 ):
     """The robot starts without its recording, and says so."""
+    (tmp_path / "nowhere").touch()
     record = esair.Recording(tmp_path / "nowhere" / "run.mcap")
     made, wheels = robot(fake_sensor, fake_actuator, record=record)
     with caplog.at_level(logging.ERROR, "esair"):
@@ -244,6 +245,17 @@ async def test_what_is_not_named_mcap_is_a_folder(
     files = list((tmp_path / "kept" / "recordings").iterdir())
     assert len(files) == 2
     assert all(is_whole(file) and file.suffix == ".mcap" for file in files)
+
+
+async def test_the_folder_of_a_file_is_made_too(
+    fake_sensor, fake_actuator, tmp_path: Path
+):
+    """Nobody who asks for a recording drives without one for lack of a folder."""
+    file = tmp_path / "kept" / "today" / "run.mcap"
+    made, _ = robot(fake_sensor, fake_actuator, record=esair.Recording(file))
+    async with made:
+        await asyncio.sleep(0.3)
+    assert is_whole(file)
 
 
 @pytest.mark.long

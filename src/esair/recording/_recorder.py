@@ -488,11 +488,12 @@ class Recorder:
 
 def _place(path: Path, name: str) -> Path:
     """Return a file that is not there yet; what is not named ``.mcap`` is a folder."""
-    if path.suffix != ".mcap" or path.is_dir():
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise recording_error(path, error) from error
+    is_folder = path.suffix != ".mcap" or path.is_dir()
+    try:
+        (path if is_folder else path.parent).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise recording_error(path, error) from error
+    if is_folder:
         path /= time.strftime(f"{name}-%Y%m%d-%H%M%S.mcap")
     place, number = path, 1
     while os.path.lexists(place):
