@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import sys
 import threading
 import time
 from pathlib import Path
@@ -335,6 +336,13 @@ def test_cameras_are_found_by_who_they_are(root: Path) -> None:
     found = [each for each in discovery.devices(root) if each.kind == "camera"]
     assert found[0].identity == "usb:046d:0825:A1"
     assert 'device = "usb:046d:0825:A1"' in discovery.toml(found[0])
+
+
+def test_without_its_packages_it_is_not_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Said before the robot starts, which it ended."""
+    monkeypatch.setitem(sys.modules, "numpy", None)
+    with pytest.raises(ModuleNotFoundError, match=r"numpy.*esair\[camera\]"):
+        Camera()
 
 
 async def test_a_camera_that_is_not_there_is_lost(tmp_path: Path) -> None:

@@ -39,6 +39,7 @@ from esair.exceptions import (
     DriverStuckError,
     describe,
 )
+from esair.loading import of_extra
 from esair.loop import Executor
 from esair.resources import Sensor, SensorSettings
 from esair.values import check_choice, check_seconds, check_whole
@@ -187,6 +188,9 @@ class Camera(Sensor[Any]):
             self.name, "silent_after", silent_after
         )
         self.dropped: int = 0
+        with of_extra("camera"):
+            import numpy as np
+        self._array = np.ndarray
         self._request = CameraRequest(device, width, height, fps)
         self._opener = opener or _Capture
         self._executor: Executor | None = None
@@ -196,9 +200,7 @@ class Camera(Sensor[Any]):
     @property
     def value_type(self) -> Any:
         """An array of numpy."""
-        import numpy as np
-
-        return np.ndarray
+        return self._array
 
     async def open(self) -> None:
         """Find the camera, open it and wait for its first picture.
