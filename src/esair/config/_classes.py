@@ -12,7 +12,6 @@ import importlib.metadata
 import inspect
 import re
 import sys
-import traceback
 from collections.abc import Iterator, Mapping
 from importlib.machinery import PathFinder
 from pathlib import Path
@@ -22,7 +21,7 @@ from typing import Final
 from esair import abc
 from esair.buses import MEDIA
 from esair.config._mistakes import Mistakes
-from esair.exceptions import describe, did_you_mean, hint_for
+from esair.exceptions import describe, did_you_mean, hint_for, line_of
 
 BUSES: Final[Mapping[str, str]] = {
     kind: f"{medium.package}:{medium.bus}" for kind, medium in MEDIA.items()
@@ -238,11 +237,5 @@ def _why_not_imported(module_name: str, error: BaseException, folder: Path) -> s
 
 
 def _place(error: BaseException) -> str:
-    frames = [
-        frame
-        for frame in traceback.extract_tb(error.__traceback__)
-        if "importlib" not in frame.filename and frame.filename != __file__
-    ]
-    if not frames:
-        return ""
-    return f" ({frames[-1].filename}, line {frames[-1].lineno})"
+    place, _, _ = line_of(error).partition(", in ")
+    return f" ({place})" if place else ""
