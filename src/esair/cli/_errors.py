@@ -20,6 +20,7 @@ from esair.exceptions import (
     hint_for,
 )
 from esair.seat import NoRobotError
+from esair.standard import leaves
 from esair.values import printable
 
 INTERRUPTED: Final = 130  # The exit code after Ctrl-C: 128 and the number of SIGINT
@@ -69,7 +70,7 @@ def exit_code_of(error: Exception) -> int | None:
     if isinstance(error, ExceptionGroup):
         mistakes, rest = error.split(ConfigError)
         found = mistakes is not None and rest is None
-        return _show_mistakes(_leaves(error)) if found else None
+        return _show_mistakes(list(leaves(error))) if found else None
     if isinstance(error, ModuleNotFoundError):
         package = (error.name or "").partition(".")[0]
         extra = _EXTRAS.get(package)
@@ -93,14 +94,7 @@ def exit_code_of(error: Exception) -> int | None:
     return None
 
 
-def _leaves(group: ExceptionGroup[Exception]) -> list[Exception]:
-    found: list[Exception] = []
-    for error in group.exceptions:
-        found += _leaves(error) if isinstance(error, ExceptionGroup) else [error]
-    return found
-
-
-def _show_mistakes(mistakes: Sequence[Exception]) -> int:
+def _show_mistakes(mistakes: Sequence[BaseException]) -> int:
     """Write every mistake of a configuration to the standard error."""
     from rich.console import Console
     from rich.text import Text

@@ -235,12 +235,10 @@ def _text(path: Path) -> str:
 
 
 def _draw(found: Sequence[Late], target: Path, title: str) -> None:
-    import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(9, 5))
+    figure = Figure(figsize=(9, 5))
+    axes = figure.subplots()
     for late in found:
         told = f"{late.title}: p99 {late.share(0.99):.2f} ms, {late.lost} lost"
         steps = [max(1e3 * each, 1e-3) for each in late.seconds]
@@ -251,4 +249,3 @@ def _draw(found: Sequence[Late], target: Path, title: str) -> None:
     )
     axes.legend()
     figure.savefig(target, dpi=120)
-    pyplot.close(figure)

@@ -14,7 +14,7 @@ from esair.standard._run import (
     run,
     run_to_its_end,
 )
-from esair.standard._told import told
+from esair.standard._told import leaves, told
 
 __all__ = [
     "FORMAT",
@@ -23,6 +23,7 @@ __all__ = [
     "Robot",
     "RunWanted",
     "components_of",
+    "leaves",
     "only_looking",
     "prepare_replay",
     "public_text",

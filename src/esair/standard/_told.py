@@ -37,7 +37,7 @@ def class_of(part: object) -> str:
 
 def told(error: BaseException) -> list[str]:
     """Return one block of lines: what has gone wrong, where, and what to do."""
-    mistakes = list(_leaves(error))
+    mistakes = list(leaves(error))
     lines = []
     if isinstance(error, BaseExceptionGroup):
         lines.append(printable(error.message))
@@ -53,17 +53,18 @@ def told(error: BaseException) -> list[str]:
     return lines
 
 
-def _leaves(error: BaseException) -> Iterator[BaseException]:
+def leaves(error: BaseException) -> Iterator[BaseException]:
+    """Yield the errors of a group, of groups in it, too; or the error itself."""
     if isinstance(error, BaseExceptionGroup):
         for each in error.exceptions:
-            yield from _leaves(each)
+            yield from leaves(each)
     else:
         yield error
 
 
 def show_at_the_end(error: BaseException) -> None:
     """If this error ends the program, let a block stand for its traceback."""
-    if all(isinstance(each, EsairError) for each in _leaves(error)):
+    if all(isinstance(each, EsairError) for each in leaves(error)):
         _shown[:] = [error]
         if sys.excepthook is sys.__excepthook__ and not wants_traceback():
             sys.excepthook = _hook
