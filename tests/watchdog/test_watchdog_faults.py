@@ -14,7 +14,7 @@ import time
 import tty
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import pytest
 from tests.watchdog.test_watchdog import dogs_of
@@ -371,7 +371,7 @@ async def test_what_one_device_cannot_take_is_its_own_fault(line: Line) -> None:
     """Whatever its write raises: who sends to it goes on with the next one."""
     told = {"name": "lamp", "wire": "gpio", "target": {}, "frames": ["00" * 2000]}
     device = Device(told, [line.near])
-    device.begin({})
+    device.begin([device])
     assert device.is_left()
     assert "too long" in device.error
 
@@ -382,7 +382,7 @@ def test_frames_with_a_gap_are_each_sent_after_silence() -> None:
     near, far = os.pipe()
     device = Device({**told, "gap": 0.01}, [far])
     began = time.monotonic()
-    device.begin({})
+    device.begin([device])
     came: list[float] = []
     while device.is_left():
         if len(device.left) < 2 - len(came):
@@ -401,9 +401,8 @@ def on_one_line(line: int, *frames: bytes, gap: float = 0.0) -> list[Device]:
     devices = [
         Device({**told, "frames": [frame.hex()]}, [os.dup(line)]) for frame in frames
     ]
-    lines: dict[object, Any] = {}
     for device in devices:
-        device.begin(lines)
+        device.begin(devices)
     return devices
 
 

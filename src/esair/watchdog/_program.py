@@ -26,13 +26,6 @@ STOP_WITHIN, SEND_WITHIN, TRIES = 0.02, 0.5, 50
 I2C_TIMEOUT, I2C_RDWR, GPIO_SET_VALUES = 0x0702, 0x0707, 0xC010B40F
 
 
-class Line:
-    """What the devices on one line share: its silence, and who has a frame cut in half."""
-
-    users, gap, due = 0, 0.0, 0.0
-    cut: "Device | None" = None
-
-
 class Device:
     def __init__(self, told: dict[str, Any], descriptors: list[int]) -> None:
         self.name, self.wire, self.target = told["name"], told["wire"], told["target"]
@@ -50,15 +43,17 @@ class Device:
         if not descriptors:
             raise OSError("its descriptor did not arrive: too many are open")
         self.descriptor = descriptors[0]
-        file = os.fstat(self.descriptor)
-        self.place = (file.st_dev, file.st_ino) if self.wire == "serial" else self
+        self.place = os.fstat(self.descriptor)[1:3]  # the file, and on which disk it is
 
-    def begin(self, lines: dict[object, Line]) -> None:
-        """Throw away the motion that still waits in the kernel."""
-        self.left, self.line = self.frames, lines.setdefault(self.place, Line())
-        self.line.users += 1
-        self.line.gap = max(self.line.gap, self.gap)
-        self.line.due = time.monotonic() + self.line.gap
+    def begin(self, line: list["Device"]) -> None:
+        """Throw away the motion that still waits in the kernel.
+
+        The first on a line knows when it is free. Of two, one may answer before the other
+        is told.
+        """
+        self.left, self.line, self.cut = self.frames, line, False
+        self.pause = max(each.gap for each in line) * min(len(line), 2)
+        self.due = time.monotonic() + self.pause
         with contextlib.suppress(Exception):  # a pipe has no such queue
             os.set_blocking(self.descriptor, False)  # the robot's, too: not before
             termios.tcflush(self.descriptor, termios.TCOFLUSH)
@@ -66,16 +61,16 @@ class Device:
 
     def is_left(self) -> bool:
         """Send what goes out now; tell whether something is left."""
-        line = self.line
         try:
             while (
-                self.left and line.cut in (None, self) and time.monotonic() >= line.due
+                self.left
+                and time.monotonic() >= self.line[0].due
+                and not any(each.cut for each in self.line if each is not self)
             ):
                 rest = self.left[0][self.write(self.left[0]) :]
                 self.left = [rest, *self.left[1:]] if rest else self.left[1:]
-                line.cut = self if rest else None
-                if not rest:  # of two devices, one may answer before the other is told
-                    line.due = time.monotonic() + line.gap * min(line.users, 2)
+                self.cut = bool(rest)
+                self.line[0].due = time.monotonic() + self.pause * (not rest)
         except Exception as error:  # the others are to be made safe all the same
             self.error = str(error)
         return bool(self.left)
@@ -100,8 +95,7 @@ class Watchdog:
         channel, self.pidfd, page, self.stack, self.pid = map(int, arguments[:5])
         self.limit, self.policy = float(arguments[5]), arguments[6]
         self.channel = socket.socket(fileno=channel)
-        self.page = mmap.mmap(page, 0)
-        self.numbers = memoryview(self.page).cast("Q")
+        self.numbers = memoryview(mmap.mmap(page, 0)).cast("Q")
         self.devices: dict[int, Device] = {}
         self.poll = select.poll()
         self.poll.register(self.channel, select.POLLIN)
@@ -113,8 +107,9 @@ class Watchdog:
         while not self.is_over:
             self.numbers[LOOKS] += 1
             events = dict(self.poll.poll(min(self.limit, 1e4) * 100))  # a tenth, in ms
-            heard = self.channel.fileno() in events
-            if self.pidfd in events or (heard and not self.hears()):
+            if self.pidfd in events or (
+                self.channel.fileno() in events and not self.hears()
+            ):
                 break
             for place, device in tuple(self.devices.items()):
                 if device.descriptor in events:  # gone: its number must become free
@@ -153,8 +148,8 @@ class Watchdog:
     def culprit(self) -> str:
         """Return who holds the process: the code next to it that is not a library's."""
         told = os.pread(self.stack, 65536, 0).decode(errors="replace")
-        main = told.rpartition("hread 0x")[2].splitlines()  # the oldest comes last
-        frames = [line.strip() for line in main if line.startswith("  File ")]
+        main = told.rpartition("hread 0x")[2]  # the oldest comes last
+        frames = [each.strip() for each in main.splitlines() if each[:7] == "  File "]
         libraries = os.path.dirname(os.__file__), os.path.dirname(__file__)[:-8]
         own = [each for each in frames if not each[6:].startswith(libraries)]
         return "".join(f", in {frame}" for frame in (own or frames)[:1])
@@ -171,20 +166,18 @@ class Watchdog:
             self.drop(told.get("of", 0))
         else:
             try:
-                device = Device(told, descriptors)
+                device = self.devices[told["place"]] = Device(told, descriptors)
             except Exception as error:
                 for each in descriptors:
                     os.close(each)
                 self.tell("refused", told["place"], str(error))
                 return True
-            self.devices[told["place"]] = device
             self.poll.register(device.descriptor, 0)  # hang-up and error alone
         self.tell("done", told["place"])
         return True
 
     def drop(self, place: int) -> None:
-        if place in self.devices:
-            device = self.devices.pop(place)
+        if device := self.devices.pop(place, None):
             self.poll.unregister(device.descriptor)
             os.close(device.descriptor)
 
@@ -214,9 +207,9 @@ class Watchdog:
             signal.pidfd_send_signal(self.pidfd, signal.SIGSTOP)
         while not self.is_still() and time.monotonic() - began < STOP_WITHIN:
             time.sleep(0.0001)  # what it still writes must not come after safe
-        waiting, lines = list(self.devices.values()), dict[object, Line]()
+        waiting = list(self.devices.values())
         for device in waiting:
-            device.begin(lines)
+            device.begin([each for each in waiting if each.place == device.place])
         while waiting := [device for device in waiting if device.is_left()]:
             if time.monotonic() - began > SEND_WITHIN:
                 break
@@ -231,8 +224,10 @@ class Watchdog:
             f"{device.name} {f'NOT SAFE ({device.error})' if device.left else 'safe'}"
             for device in self.devices.values()
         ]
-        said = f"{why}: {', '.join(told) or 'nothing is watched'}"
-        line = f"esair watchdog: {said}, after {took * 1000:.1f} ms\n".encode()
+        line = (
+            f"esair watchdog: {why}: {', '.join(told) or 'nothing is watched'}, "
+            f"after {took * 1000:.1f} ms\n"
+        ).encode()
         with contextlib.suppress(OSError):  # who reads it may have gone, or be stuck
             while line and select.select([], [2], [], SEND_WITHIN)[1]:
                 line = line[os.write(2, line[: select.PIPE_BUF]) :]
