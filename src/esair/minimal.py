@@ -586,7 +586,7 @@ class Loop:
         self.ages.append(aged)
         if _COMPUTER and not hasattr(part, "rate"):  # an actuator of STD
             part.rate = None
-        task.pace = _ms(part.rate or self.every / 1000)
+        task.pace = _ms(part.rate) if part.rate else self.every
         if task.pace < self.every:
             task.phase = self.every
             self.pace.append(task)
