@@ -1,6 +1,7 @@
 """A process whose watchdog holds lines, none, one or more: ``lines.py DESCRIPTOR ...``."""
 
 import asyncio
+import json
 import os
 import signal
 import sys
@@ -20,9 +21,10 @@ async def main(lines: list[int]) -> None:
         _process._PROGRAM = Path(__file__).with_name("failing.py")
     dog = Watchdog()
     await dog.start()
+    frames = SafeFrames([b"STOP\n"], **json.loads(os.environ.get("FRAMES", "{}")))
     for number, line in enumerate(lines):
         outlet = Outlet("serial", descriptor=line)
-        refused = await dog.arm(f"line {number}", SafeFrames([b"STOP\n"]), outlet)
+        refused = await dog.arm(f"line {number}", frames, outlet)
         assert not refused, refused
     os.write(int(os.environ.get("TELLS", "1")), b"armed\n")
     while True:

@@ -222,6 +222,14 @@ def test_a_line_that_is_full_is_tried_again(wires: list[Wire]) -> None:
 
 
 @pytest.mark.fault("O04")
+def test_all_frames_are_sent_however_long_their_silence_is(wires: list[Wire]) -> None:
+    """Half a second is for what is not taken, not for what has to wait."""
+    robot = Robot(wires[0], FRAMES='{"repeat": 8, "gap": 0.08}')
+    assert "line 0 safe" in robot.kill()
+    assert wires[0].heard() == b"STOP\n" * 8
+
+
+@pytest.mark.fault("O04")
 def test_a_robot_without_actuators() -> None:
     """Its watchdog has nothing to do, says so, and ends with it."""
     robot = Robot()

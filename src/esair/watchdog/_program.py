@@ -211,7 +211,8 @@ class Watchdog:
         for device in waiting:
             device.begin([each for each in waiting if each.place == device.place])
         while waiting := [device for device in waiting if device.is_left()]:
-            if time.monotonic() - began > SEND_WITHIN:
+            last = max(line.due for line in lines.values())  # or what is sent next
+            if time.monotonic() - last > SEND_WITHIN:
                 break
             # All of them before any is told again.
             waiting.sort(key=lambda device: len(device.frames) - len(device.left))
