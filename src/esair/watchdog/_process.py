@@ -104,9 +104,8 @@ class Process:
             )
             failed.pop_all()
         self.pid = self._process.pid
-        if (
-            priority := priority_of_thread()
-        ):  # the robot is in real time: it goes before
+        # Where the robot is in real time, it goes before.
+        if priority := priority_of_thread():
             with contextlib.suppress(OSError):
                 go_first(self.pid, priority + 1)
         self._channel: socket.socket | None = mine
@@ -186,13 +185,7 @@ class Process:
                 os.close(descriptor)
 
     def kill(self) -> None:
-        if self._process.returncode is None:
-            self._process.kill()
-
-    @property
-    def code(self) -> int | None:
-        """How it has ended; None if it was not reaped yet."""
-        return self._process.returncode
+        self._process.kill()
 
     def reap(self) -> None:
         """It is over: its descriptor says so."""
@@ -201,7 +194,7 @@ class Process:
         self._loop.remove_reader(self._pidfd)
         os.close(self._pidfd)
         self._pidfd = -1
-        self._process.wait()
+        self.code: int = self._process.wait()  # how it has ended
         self.let_go()
         stack_file.close()
         self._ended(self)

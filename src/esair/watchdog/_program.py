@@ -42,18 +42,16 @@ class Device:
             fcntl.ioctl(descriptors[0], I2C_TIMEOUT, 2)  # 20 ms
         if not descriptors:
             raise OSError("its descriptor did not arrive: too many are open")
-        self.descriptor = descriptors[0]
-        self.place = os.fstat(self.descriptor)[1:3]  # the file, and on which disk it is
+        self.descriptor, own = descriptors[0], self.wire != "serial"
+        # The same of all devices on one line.
+        self.place: object = self if own else os.fstat(self.descriptor)[1:3]
 
-    def begin(self, line: list["Device"]) -> None:
-        """Throw away the motion that still waits in the kernel.
-
-        The first on a line knows when it is free. Of two, one may answer before the other
-        is told.
-        """
-        self.left, self.line, self.cut = self.frames, line, False
-        self.pause = max(each.gap for each in line) * min(len(line), 2)
-        self.due = time.monotonic() + self.pause
+    def begin(self, devices: "list[Device]") -> None:
+        """Throw away the motion that still waits in the kernel."""
+        self.left, self.due = self.frames, time.monotonic() + self.gap
+        self.line = [each for each in devices if each.place == self.place]
+        # Of two devices, one may answer before the other is told.
+        self.silence = max(each.gap for each in self.line) * min(len(self.line), 2)
         with contextlib.suppress(Exception):  # a pipe has no such queue
             os.set_blocking(self.descriptor, False)  # the robot's, too: not before
             termios.tcflush(self.descriptor, termios.TCOFLUSH)
@@ -62,18 +60,16 @@ class Device:
     def is_left(self) -> bool:
         """Send what goes out now; tell whether something is left."""
         try:
-            while (
-                self.left
-                and time.monotonic() >= self.line[0].due
-                and not any(each.cut for each in self.line if each is not self)
-            ):
+            while self.left and time.monotonic() >= self.due:
                 rest = self.left[0][self.write(self.left[0]) :]
                 self.left = [rest, *self.left[1:]] if rest else self.left[1:]
-                self.cut = bool(rest)
-                self.line[0].due = time.monotonic() + self.pause * (not rest)
+                for each in self.line:  # a frame that was cut is to be whole first
+                    each.due = time.monotonic() + (
+                        SEND_WITHIN * (each is not self) if rest else self.silence
+                    )
         except Exception as error:  # the others are to be made safe all the same
             self.error = str(error)
-        return bool(self.left)
+        return bool(self.left) and time.monotonic() - self.due < SEND_WITHIN
 
     def write(self, frame: bytes) -> int:
         if self.wire == "gpio":
@@ -95,7 +91,8 @@ class Watchdog:
         channel, self.pidfd, page, self.stack, self.pid = map(int, arguments[:5])
         self.limit, self.policy = float(arguments[5]), arguments[6]
         self.channel = socket.socket(fileno=channel)
-        self.numbers = memoryview(mmap.mmap(page, 0)).cast("Q")
+        self.page = mmap.mmap(page, 0)
+        self.numbers = memoryview(self.page).cast("Q")
         self.devices: dict[int, Device] = {}
         self.poll = select.poll()
         self.poll.register(self.channel, select.POLLIN)
@@ -104,12 +101,11 @@ class Watchdog:
     def watch(self) -> str:
         """Return why the robot has to be made safe; empty after its good-bye."""
         beats, since, asked = self.numbers[BEATS], time.monotonic(), False
-        while not self.is_over:
+        while self.numbers[OVER] != self.pid:  # no fork of it has that number
             self.numbers[LOOKS] += 1
             events = dict(self.poll.poll(min(self.limit, 1e4) * 100))  # a tenth, in ms
-            if self.pidfd in events or (
-                self.channel.fileno() in events and not self.hears()
-            ):
+            heard = self.channel.fileno() in events
+            if self.pidfd in events or (heard and not self.hears()):
                 break
             for place, device in tuple(self.devices.items()):
                 if device.descriptor in events:  # gone: its number must become free
@@ -128,14 +124,9 @@ class Watchdog:
                     signal.pidfd_send_signal(self.pidfd, TELL_STACK)
         return (
             ""
-            if self.is_over
+            if self.numbers[OVER] == self.pid
             else self.last_look(STOP_WITHIN, "its robot is gone, its process is not")
         )
-
-    @property
-    def is_over(self) -> bool:
-        """Whether the robot itself, and no fork of it, has said good-bye."""
-        return bool(self.numbers[OVER] == self.pid)
 
     def last_look(self, within: float, why: str = "") -> str:
         """Return why a robot has to be made safe to which nobody listens any more."""
@@ -148,8 +139,8 @@ class Watchdog:
     def culprit(self) -> str:
         """Return who holds the process: the code next to it that is not a library's."""
         told = os.pread(self.stack, 65536, 0).decode(errors="replace")
-        main = told.rpartition("hread 0x")[2]  # the oldest comes last
-        frames = [each.strip() for each in main.splitlines() if each[:7] == "  File "]
+        main = told.rpartition("hread 0x")[2].splitlines()  # the oldest comes last
+        frames = [line.strip() for line in main if line.startswith("  File ")]
         libraries = os.path.dirname(os.__file__), os.path.dirname(__file__)[:-8]
         own = [each for each in frames if not each[6:].startswith(libraries)]
         return "".join(f", in {frame}" for frame in (own or frames)[:1])
@@ -166,18 +157,20 @@ class Watchdog:
             self.drop(told.get("of", 0))
         else:
             try:
-                device = self.devices[told["place"]] = Device(told, descriptors)
+                device = Device(told, descriptors)
             except Exception as error:
                 for each in descriptors:
                     os.close(each)
                 self.tell("refused", told["place"], str(error))
                 return True
+            self.devices[told["place"]] = device
             self.poll.register(device.descriptor, 0)  # hang-up and error alone
         self.tell("done", told["place"])
         return True
 
     def drop(self, place: int) -> None:
-        if device := self.devices.pop(place, None):
+        if place in self.devices:
+            device = self.devices.pop(place)
             self.poll.unregister(device.descriptor)
             os.close(device.descriptor)
 
@@ -209,11 +202,8 @@ class Watchdog:
             time.sleep(0.0001)  # what it still writes must not come after safe
         waiting = list(self.devices.values())
         for device in waiting:
-            device.begin([each for each in waiting if each.place == device.place])
+            device.begin(waiting)
         while waiting := [device for device in waiting if device.is_left()]:
-            last = max(line.due for line in lines.values())  # or what is sent next
-            if time.monotonic() - last > SEND_WITHIN:
-                break
             # All of them before any is told again.
             waiting.sort(key=lambda device: len(device.frames) - len(device.left))
             time.sleep(0.001)
@@ -221,12 +211,12 @@ class Watchdog:
         with contextlib.suppress(OSError):  # it is dead
             if self.policy == "kill":
                 signal.pidfd_send_signal(self.pidfd, signal.SIGKILL)
-        told = [
+        told = ", ".join(
             f"{device.name} {f'NOT SAFE ({device.error})' if device.left else 'safe'}"
             for device in self.devices.values()
-        ]
+        )
         line = (
-            f"esair watchdog: {why}: {', '.join(told) or 'nothing is watched'}, "
+            f"esair watchdog: {why}: {told or 'nothing is watched'}, "
             f"after {took * 1000:.1f} ms\n"
         ).encode()
         with contextlib.suppress(OSError):  # who reads it may have gone, or be stuck

@@ -9,9 +9,7 @@ from esair.buses._bus import Wire
 from esair.buses._link_bus import LinkBus
 from esair.buses.spi import _kernel as kernel
 from esair.buses.spi._kernel import LIMIT, SpiLink
-from esair.exceptions import (
-    DeviceFaultError,
-)
+from esair.exceptions import DeviceFaultError
 from esair.values import check_bytes, check_whole
 
 T = TypeVar("T")
