@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import tomllib
 
@@ -145,6 +146,21 @@ def test_what_a_device_calls_itself_cannot_move_the_cursor(tree) -> None:
             "ttyacm0": {"type": "serial", "port": "usb:2341:0043", "baudrate": 115200}
         }
     }
+
+
+def test_what_is_unplugged_while_it_is_looked_at_is_no_usb_device(
+    tree, monkeypatch
+) -> None:
+    """A link that goes between two looks at it ends the look at no other device."""
+    tree.usb_serial("ttyACM0", "1-2", "2341", "0043")
+    place = tree.root / "sys/class/tty/ttyACM0"
+    assert finding.usb_device(place, tree.root) is not None
+
+    def gone(path):
+        raise FileNotFoundError(path)
+
+    monkeypatch.setattr(os, "readlink", gone)
+    assert finding.usb_device(place, tree.root) is None
 
 
 def test_the_lines_for_all_of_them_make_a_robot(full, tmp_path) -> None:

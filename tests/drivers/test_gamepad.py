@@ -243,6 +243,16 @@ def test_pads_are_found_by_who_they_are(root: Path) -> None:
         find_pad("usb:1111:2222", root)
 
 
+def test_a_keyboard_with_many_keys_is_no_pad(root: Path) -> None:
+    """What it has is read to its end: the last of it are the lowest keys."""
+    words = ["f" * 16] * 12
+    words[-5] = "0"  # where a pad has its buttons
+    (root / "sys/class/input/event3/device/capabilities/key").write_text(
+        " ".join(words)
+    )
+    assert "/dev/input/event3" not in [each.path for each in devices(root)]
+
+
 def test_esair_devices_lists_pads(root: Path) -> None:
     """With the lines for a robot.toml, and a dead man in them."""
     found = [each for each in discovery.devices(root) if each.kind == "gamepad"]

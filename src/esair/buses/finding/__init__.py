@@ -46,7 +46,7 @@ LONGEST = 120
 """How much of a text is taken, in characters."""
 
 
-def read(path: Path) -> str:
+def read(path: Path, longest: int = LONGEST) -> str:
     """Return a text in one line without control characters; empty if there is none.
 
     A device chooses its own strings; none of them may move the cursor of a terminal.
@@ -57,7 +57,7 @@ def read(path: Path) -> str:
         return ""
     return "".join(
         each if each.isprintable() and each != "\N{REPLACEMENT CHARACTER}" else "?"
-        for each in text[:LONGEST]
+        for each in text[:longest]
     )
 
 
@@ -213,7 +213,8 @@ def usb_device(place: Path, root: Path) -> Path | None:
         root: Where ``/sys`` is; nothing above it is looked at.
     """
     top = (root / "sys").resolve()
-    place = place.resolve()
+    with contextlib.suppress(OSError):  # it is just being unplugged
+        place = place.resolve()
     while place != top and top in place.parents:
         if (place / "idVendor").is_file():
             return place

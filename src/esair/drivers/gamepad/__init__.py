@@ -80,7 +80,7 @@ def find_pad(wanted: str, root: Path = ROOT) -> str:
 def _is_pad(place: Path) -> bool:
     # The bits of the buttons, the highest word first, in hexadecimal.
     bits, size = 0, 64
-    for word in finding.read(place / "device/capabilities/key").split():
+    for word in finding.read(place / "device/capabilities/key", 1024).split():
         try:
             bits = bits << size | int(word, 16)
         except ValueError:
