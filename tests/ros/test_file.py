@@ -307,12 +307,8 @@ def test_what_is_found_becomes_lines_of_a_file(file: Path) -> None:
 
 def test_what_is_found_has_no_name_twice(file: Path) -> None:
     """Nor what is no command for an actuator, or more lines than it is."""
-    text: list[list[str]] = [["std_msgs/msg/String"], ["talker\n[actuator.wheels]"], []]
-    twist: list[list[str]] = [
-        ["geometry_msgs/msg/TwistWithCovarianceStamped"],
-        ["ekf"],
-        [],
-    ]
+    text: Any = ["std_msgs/msg/String"], ["talker\n[actuator.wheels]"], []
+    twist: Any = ["geometry_msgs/msg/TwistWithCovarianceStamped"], ["ekf"], []
     names = ("/scan", "/a/b", "/a_b", "/A_B", "/ros", "/wheels", "/both", "/_hidden")
     graph = {
         "topics": [*([name, *text] for name in names), ["/measured", *twist]],

@@ -77,7 +77,7 @@ def test_what_is_too_large_is_told_and_not_sent() -> None:
     box = Outbox(sent.put, None)
     assert box.send(["reading", *HEAD, "/big", 0.0, "x" * LARGEST])
     told = unpack(sent.get(timeout=10.0)[4:])
-    assert told == ["bad", *HEAD, "reading /big is larger than 1 MiB"]
+    assert told == ["bad", *HEAD, "reading /big is larger than 1 MiB, or 20000 items"]
 
 
 @pytest.mark.promise("ROS-2")
@@ -87,7 +87,7 @@ def test_what_the_robot_would_read_for_too_long_is_not_sent() -> None:
     box = Outbox(sent.put, None)
     box.send(["reading", *HEAD, "/map", 0.0, [[0.5] * 100] * 201])
     told = unpack(sent.get(timeout=10.0)[4:])
-    assert told == ["bad", *HEAD, "reading /map has over 20000 items"]
+    assert told == ["bad", *HEAD, "reading /map is larger than 1 MiB, or 20000 items"]
 
     text = "a, b,\n" * 30_000
     box.send(["reading", *HEAD, "/text", 0.0, {"data": text}])

@@ -14,8 +14,7 @@ from esair.cli._peers import of_status
 from esair.seat import connect
 from esair.values import printable
 
-_OF_EVERY_NODE = ("/rosout", "/parameter_events")
-_OF_NODES = ("rcl_interfaces/", "type_description_interfaces/")
+_OF_EVERY_NODE = ("rcl_interfaces/", "type_description_interfaces/")
 _MOTIONS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 
 
@@ -72,24 +71,21 @@ def ros(
 
 def lines_of(graph: dict[str, Any]) -> Iterator[str]:
     """Yield lines of a robot.toml for what is in a graph: each to be made fit."""
-    parts, names = {"ros", "wheels"}, set(_OF_EVERY_NODE)
+    parts, names = {"ros", "wheels"}, set[str]()
     for kind, found in graph.items():
-        for name, types, gives, takes in found:
+        for name, every, gives, takes in found:
+            types = [each for each in every if not each.startswith(_OF_EVERY_NODE)]
             if name in names or "/_" in name or not types:  # it is hidden
-                continue
-            if types[0].startswith(_OF_NODES):
                 continue
             part = name.strip("/").replace("/", "_").lower()
             while part in parts:
                 part += "_"
             parts.add(part)
             names.add(name)  # a robot has one table of a name
-            who = f"published by {', '.join(gives)}" if gives else ""
-            who += f"; heard by {', '.join(takes)}" if takes else ""
+            ends = (("published", gives), ("heard", takes))
+            who = "; ".join(f"{did} by {', '.join(each)}" for did, each in ends if each)
             yield ""
-            yield f"[ros.{kind}.{json.dumps(name)}]" + (
-                f"  # {printable(who.strip('; '))}" if who else ""
-            )
+            yield f"[ros.{kind}.{json.dumps(name)}]" + (who and f"  # {printable(who)}")
             yield f"type = {json.dumps(types[0])}"
             if len(types) > 1:
                 told = printable(", ".join(types[1:]))

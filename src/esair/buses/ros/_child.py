@@ -105,10 +105,9 @@ class Outbox:
         """Let a frame wait; tells whether there was room."""
         if self.room.has(frame):
             data = pack(frame)
-            is_long = len(data) > LARGEST
-            if is_long or data.count(b"\n", 4) > ITEMS:
-                size = "is larger than 1 MiB" if is_long else f"has over {ITEMS} items"
-                data = pack(["bad", *frame[1:6], f"{frame[0]} {frame[6]} {size}"])
+            if len(data) > LARGEST or data.count(b"\n", 4) > ITEMS:
+                told = f"{frame[0]} {frame[6]} is larger than 1 MiB, or {ITEMS} items"
+                data = pack(["bad", *frame[1:6], told])
             self.room.add(frame, len(data))
             self.waiting.put((frame, data))
             return True
@@ -363,15 +362,14 @@ class Graph:
         node.create_timer(BEAT, bridge.tick, self.group, **told)
         node.create_timer(1.0, self._miss, self.group, **told)
 
-    def _qos(self, link: dict[str, Any], depth: int, reliable: bool) -> Any:
+    def _qos(self, link: dict[str, Any]) -> Any:
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-        qos = QoSProfile(depth=1 if link["latched"] else depth)
         if link["latched"]:
-            qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
-        elif not reliable:
-            qos.reliability = ReliabilityPolicy.BEST_EFFORT
-        return qos
+            return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        if link["flow"] == "in":
+            return QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        return QoSProfile(depth=10)
 
     def _topic_in(self, name: str, link: dict[str, Any]) -> None:
         from rclpy.serialization import deserialize_message
@@ -384,14 +382,14 @@ class Graph:
         self.topics[name] = self.node.create_subscription(
             *(link["class"], name),
             lambda data: self.bridge.heard(name, lambda: read(data)),
-            self._qos(link, 1, False),
+            self._qos(link),
             callback_group=self.group,
             raw=True,
         )
 
     def _topic_out(self, name: str, link: dict[str, Any]) -> None:
-        qos = self._qos(link, 10, True)
-        self.publishers[name] = self.node.create_publisher(link["class"], name, qos)
+        about = link["class"], name, self._qos(link)
+        self.publishers[name] = self.node.create_publisher(*about)
 
     def _service_out(self, name: str, link: dict[str, Any]) -> None:
         self.clients[name] = self.node.create_client(
