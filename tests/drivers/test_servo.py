@@ -152,6 +152,39 @@ async def bus(fakes: FakeServos) -> AsyncIterator[ServoBus]:
 SIX = range(1, 7)
 
 
+class AtTheirPace(FakeServos):
+    """Each answer takes its time at 57600 bits per second, and 0.5 ms before it."""
+
+    def _answer(self, data: bytes) -> None:
+        answers, line = self.heard(data), self._line
+        loop = asyncio.get_running_loop()
+        for n, begin in enumerate(range(0, len(answers), 21), 1):
+            piece = answers[begin : begin + 21]
+            assert line is not None
+            loop.call_later(
+                (begin + len(piece)) * 10 / 57600 + n * 0.0005, line.write, piece
+            )
+
+
+@pytest.mark.virtual_clock
+async def test_twenty_servos_at_their_own_rate_are_asked_in_one_turn() -> None:
+    """Their answers take more than the time that one servo has for its own."""
+    numbers = range(1, 21)
+    fakes = AtTheirPace({n: FakeServo(steps=CENTER + n) for n in numbers})
+    bus = ServoBus(name="arm", wire=fakes)
+    places = [ServoPosition(name=f"p{n}", id=n, bus=bus) for n in numbers]
+    await bus.open()
+    for place in places:
+        await place.open()
+    del fakes.written[:]
+
+    angles = await asyncio.gather(*(place.read() for place in places))
+
+    assert [to_steps(angle) - CENTER for angle in angles] == [*numbers]
+    assert [instruction for _, instruction, _ in fakes.written] == [SYNC_READ]
+    await bus.close()
+
+
 @pytest.mark.virtual_clock
 async def test_servos_of_both_kinds_of_table_are_on_one_line() -> None:
     """Each tells its own position, whoever else is asked at the same moment."""
