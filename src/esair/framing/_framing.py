@@ -31,9 +31,6 @@ class Framing(abc.ABC):
 
     _made_with: tuple[tuple[Any, ...], dict[str, Any]]
 
-    silence: float = 0.0
-    """How long a line must be silent before each request, in characters."""
-
     def __new__(cls, *args: Any, **keywords: Any) -> Self:
         """Remember the parameters, for `fresh`."""
         made = super().__new__(cls)

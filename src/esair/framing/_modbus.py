@@ -34,8 +34,6 @@ class ModbusRtu(Searching):
     Source: MODBUS over Serial Line V1.02; MODBUS Application Protocol V1.1b3.
     """
 
-    silence = 3.5
-
     def __init__(self, *, max_length: int = LONGEST) -> None:
         super().__init__(max_length=max_length)
         with of_extra("modbus"):

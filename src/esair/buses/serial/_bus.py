@@ -30,7 +30,7 @@ from esair.exceptions import (
     did_you_mean,
     hint_for,
 )
-from esair.framing import FRAMINGS, Cobs, Framing, Lines
+from esair.framing import FRAMINGS, Cobs, Framing, Lines, ModbusRtu
 from esair.loop import SAFE, Arrivals, urgency
 from esair.values import (
     check_bytes,
@@ -78,9 +78,6 @@ def _names() -> str:
 
 ECHO_LIMIT = 65536
 """How many bytes may be on their way back as an echo."""
-
-LEAST_SILENCE = 0.00175
-"""The shortest silence between messages that need one, in seconds."""
 
 _log = logging.getLogger("esair")
 
@@ -159,8 +156,9 @@ class SerialBus(Bus):
         self.port: str = port
         self.baudrate: int = check_whole(name, "baudrate", baudrate, 1)
         self.framing: Framing = make_framing(name, framing)
-        silence = 11 * self.framing.silence / self.baudrate
-        self._silence = max(silence, LEAST_SILENCE) if silence else 0.0
+        # What separates messages of RTU: 3.5 characters, but 1.75 ms at least.
+        is_rtu = isinstance(self.framing, ModbusRtu)
+        self._silence = max(0.00175, 38.5 / self.baudrate) if is_rtu else 0.0
         self.out_limit: int = check_whole(name, "out_limit", out_limit, 1)
         self.write_timeout: float = check_seconds(name, "write_timeout", write_timeout)
         self.bad_limit: int = check_whole(name, "bad_limit", bad_limit, 1)
