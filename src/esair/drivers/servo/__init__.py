@@ -94,9 +94,6 @@ STEPS: Final = 4096
 CENTER: Final = 2048
 """The step in the middle, which is angle 0."""
 
-TIMED: Final = 0x04
-"""The bit of a drive mode with which a move takes a time, whatever its way."""
-
 CURRENT, VELOCITY, POSITION = range(3)
 """Places in the ``modes`` of a control table."""
 
@@ -303,7 +300,7 @@ class Servo(Torqued[Goal]):
         table = self.bus.table
         units = table.no_limit
         if value:
-            if table.drive and await self.bus.read(self.id, table.drive, 1) & TIMED:
+            if table.drive and await self.bus.read(self.id, table.drive, 1) & 4:
                 told = "its drive mode takes a speed for a time: clear bit 2 of it"
                 raise DeviceFaultError(self.name, told)
             units = max(1, round(value / table.velocity_unit))

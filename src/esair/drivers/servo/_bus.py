@@ -271,9 +271,6 @@ HARDWARE_ERROR = 70
 ANSWER_TIMEOUT: Final = 0.05
 """How long a servo may take for a whole answer, in seconds."""
 
-WHOLE: Final = 24
-"""The bytes of the answer of each further one."""
-
 LATE_LIMIT: Final = 0.1
 """How long after it was given up an answer may still come, in seconds."""
 
@@ -574,8 +571,8 @@ class ServoBus(SerialBus):
                 size = self._put(self.framing.encode(bytes([to]) + request), exchange)
                 if size:
                     await self._sent(size, ANSWER_TIMEOUT)
-                others = WHOLE * (len(servos) - 1)
-                until = now() + ANSWER_TIMEOUT + self.seconds_for(others)
+                behind = 24 * (len(servos) - 1)  # bytes of what the others answer
+                until = now() + ANSWER_TIMEOUT + self.seconds_for(behind)
                 while answers and len(told) < len(servos) and now() < until:
                     try:
                         message = await inbox.take(timeout=until - now())
