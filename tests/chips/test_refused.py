@@ -163,3 +163,17 @@ def test_the_line_is_that_of_the_word(tmp_path) -> None:
     )
 
     assert (line, "x * x" in reason) == (4, True)
+
+
+def test_parts_are_counted_together() -> None:
+    """A byte tells them apart: the fault, and the guard that is reset, were another's."""
+    found = []
+    Wiring(
+        [],
+        [robots.Given(f"s{number}", 1.0) for number in range(150)],
+        [robots.Told(f"m{number}", 0.0) for number in range(150)],
+        50,
+        True,
+        lambda _, error: found.append(error.reason),
+    ).program()
+    assert found == ["at most 200 parts, and 1000 steps a second"]

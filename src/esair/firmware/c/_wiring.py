@@ -86,7 +86,8 @@ class Wiring:
             "output": [*map(self._output_row, self._outputs)],
         }
         gap, odd = divmod(1_000_000, self._loop.every)
-        if max(map(len, tables.values())) > 200 or gap == 0:
+        parts = len(self._inputs) + len(self._outputs) + len(self._tasks)
+        if parts > 200 or gap == 0:
             error = RefusedError("at most 200 parts, and 1000 steps a second")
             self._refuse(self._loop, error)
         said = "\n".join(self._lines)
