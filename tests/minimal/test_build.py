@@ -524,6 +524,14 @@ def test_what_was_compiled_before_does_not_stay(tmp_path, monkeypatch) -> None:
     assert not (tmp_path / "board" / "compiled" / "main.py").exists()
 
 
+@pytest.mark.parametrize("port", ["usb:0001:fffe", "usb:pico"])
+def test_a_board_that_is_not_plugged_in_is_told(tmp_path, port) -> None:
+    """Named as a USB device, whose path nobody knows: no traceback."""
+    (tmp_path / "main.py").write_text("")
+    with pytest.raises(ConfigError, match=f"esair min: port: .*{port}"):
+        firmware.deploy(tmp_path, port=port)
+
+
 def test_an_unknown_board_is_refused(tmp_path) -> None:
     """The error names those that there are."""
     with pytest.raises(ConfigError, match="'pico', 'pico2', 'esp32' or 'esp32s3'"):

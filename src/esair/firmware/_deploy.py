@@ -113,7 +113,7 @@ def place_of(port: str) -> str:
     if port.startswith("usb:"):
         try:
             find_port(port)
-        except EsairError as error:
+        except (OSError, EsairError) as error:
             raise ConfigError("esair min", "port", str(error)) from error
         return port
     if port != "auto":
