@@ -267,3 +267,50 @@ async def test_a_reading_cannot_compare_as_it_likes() -> None:
         sonar.feed(Agrees(9.0))
         with pytest.raises(esair.DeviceFaultError, match="expected 0 to 4"):
             await user.sonar.read(fresh=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class Move:
+    """Is equal to each move of the same joint."""
+
+    joint: str
+    speed: float = dataclasses.field(compare=False)
+
+
+class Half(esair.Reaction):
+    """Lets half of it pass when it is near."""
+
+    sonar = esair.reads(float)
+    arm = esair.guards(Move)
+
+    def react(self, sonar: float, arm: Move) -> Move:
+        return arm if sonar > 1.0 else Move(arm.joint, arm.speed / 2)
+
+
+class Watch(esair.Reaction):
+    """Keeps the arm still where it cannot see."""
+
+    sonar = esair.reads(float)
+    arm = esair.writes(Move, priority=9)
+
+    def react(self, sonar: float) -> None:
+        return None
+
+
+@pytest.mark.promise("PRO-1", "PRO-2", "PRO-8")
+@pytest.mark.parametrize(("sees", "left"), [(Half, 0.5), (Watch, 0.0)])
+async def test_commands_that_are_equal_need_not_be_the_same(
+    sees: type[esair.Reaction], left: float
+) -> None:
+    """What a class says of it decides neither what is less nor what is safe."""
+    arm = FakeActuator("arm", safe=Move("elbow", 0.0), command_timeout=9.0)
+    sonar: FakeSensor[float] = FakeSensor("sonar", 2.0, type=float)
+    user: Any = esair.Behavior(name="user", writes={"arm": esair.writes(Move)})
+    async with esair.Robot(resources=[arm, sonar], behaviors=[user, sees()]):
+        await user.arm.write(Move("elbow", 1.0))
+        if sees is Half:
+            sonar.feed(0.5)
+        else:
+            sonar.unplug()
+        await asyncio.sleep(0.1)
+        assert [each.speed for each in arm.commands] == [0.0, 1.0, left]

@@ -104,10 +104,10 @@ def _is_number(value: Any) -> bool:
 def is_same(one: Any, other: Any) -> bool:
     """Tell whether two commands ask for the same."""
     same = equal(one, other)
-    if same or _compares(one):
+    if one is other or (_compares(one) and not same):
         return same
-    parts = _pairs(one, other)
-    return parts is not None and all(is_same(*pair) for pair in parts.values())
+    parts = _pairs(one, other)  # its class may compare some of them only
+    return same if parts is None else all(is_same(*p) for p in parts.values())
 
 
 def is_opaque(command: Any) -> bool:
