@@ -17,7 +17,7 @@ from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from esair import abc
-from esair.actions import Behavior, Reaction
+from esair.actions import Behavior, Reaction, ReactionRunner
 from esair.connections import Halting, Stopped
 from esair.exceptions import (
     AccessDeniedError,
@@ -592,13 +592,18 @@ class BehaviorDeployment:
 
     def forget_waiting(self) -> None:
         """Drop the commands that reactions keep for later: the robot is halted."""
-        for member in (*self.members.values(), *self.heirs):
-            member.forget_waiting()
+        for runner in self._runners():
+            runner.outputs.forget()
 
     def halt(self) -> None:
         """Let no reaction take another step: the robot stops."""
-        for member in (*self.members.values(), *self.heirs):
-            member.halt()
+        for runner in self._runners():
+            runner.stop()
+
+    def _runners(self) -> list[ReactionRunner]:
+        members = (*self.members.values(), *self.heirs)
+        parts = [each for member in members for each in (member, *member.steps)]
+        return [each.runner for each in parts if each.runner is not None]
 
     async def stop(self) -> None:
         """End every behavior, the last one first; all share one grace period."""

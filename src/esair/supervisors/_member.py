@@ -212,18 +212,6 @@ class Member:
 
     # Life.
 
-    def forget_waiting(self) -> None:
-        """Drop the commands that its reactions keep until a driver is done."""
-        for each in (self, *self.steps):
-            if each.runner is not None:
-                each.runner.outputs.forget()
-
-    def halt(self) -> None:
-        """Let its reactions take no further step: the robot stops."""
-        for each in (self, *self.steps):
-            if each.runner is not None:
-                each.runner.stop()
-
     def start(self) -> None:
         self.mail.become(BehaviorState.STARTING)
         self._lives += 1
