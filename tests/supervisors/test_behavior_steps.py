@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from typing import Any
 
 import pytest
@@ -149,6 +150,27 @@ async def test_a_timeout_is_an_error_that_names_it() -> None:
         "'go' could not come to its end for 1 s (it is a step of captain)"
     )
     assert go.story == ["setup", "teardown"]
+
+
+async def test_it_moves_nothing_when_its_time_is_long_over() -> None:
+    """It may clean up; one that heeds no cancellation is fenced off, and its error told."""
+
+    class Deaf(esair.Behavior):
+        wheels = esair.writes(float)
+
+        async def run(self) -> None:
+            while True:
+                with contextlib.suppress(asyncio.CancelledError):
+                    await self.wheels.write(0.5)
+                    await asyncio.sleep(0.05)
+
+    async def act(self: Captain) -> None:
+        await self.perform(Deaf(), timeout=1.0)
+
+    outcome, commands = await told(act, grace=0.5)
+    assert isinstance(outcome, esair.NotRegisteredError)
+    assert commands.count(0.5) == 31  # at once when it was cancelled, too
+    assert commands[-1] == 0.0
 
 
 async def test_it_ends_with_its_performer() -> None:

@@ -415,7 +415,8 @@ class Behavior(ProfiledAction):
             reaction: What to run, a behavior too. It is registered in this behavior's name.
             until: Of a reaction: asked after each of its steps; it ends the reaction. Its
                 parameters, if any, are named like readings and get them.
-            timeout: How long it may run, in seconds.
+            timeout: How long it may run, in seconds. A behavior that goes on all the
+                same moves nothing any more when the grace period is over, too.
             blind_timeout: How long a reaction may be blind at a time, in seconds; no
                 limit unless given. Meanwhile it keeps its actuators safe, as it does
                 without a behavior, and ``query`` tells why.

@@ -42,7 +42,7 @@ from esair.exceptions import (
     EsairError,
     describe,
 )
-from esair.loop import Owner, Portal, fail, raisable, wake
+from esair.loop import Deadline, Deadlines, Owner, Portal, fail, raisable, wake
 from esair.messages import Access
 from esair.plan import refuse, unmet
 from esair.supervisors._control_path import only_the_user
@@ -399,19 +399,27 @@ class BehaviorStep:
     async def run(self, timeout: float | None) -> Any:
         """Set it up, run it, and clean up; returns what its run returns."""
         behavior, member = self.behavior, self._member
-        control = member.crew.resources.control
+        late: Deadline | None = None
+        if timeout is not None:  # whatever it does then, it moves nothing
+            deadlines = Deadlines.of(asyncio.get_running_loop())
+            late = deadlines.after(timeout + member.crew.grace, self._fence)
         self._sight.accept()
         try:
             fill(behavior, self, self.grants, self.portal)
             way, owner, sees = self.portal, self.mail.owner, self._sight.sees
             return await run_as_step(behavior, member.name, way, owner, timeout, sees)
         finally:
-            for registration in tuple(self.own):
-                control.revoke(registration)
+            if late is not None:
+                late.cancel()
+            self._fence()
             self._sight.leave()
             take_back(behavior, self, self.portal)
             if self.portal is not None:
                 self.portal.close()
+
+    def _fence(self) -> None:
+        for registration in tuple(self.own):
+            self._member.crew.resources.control.revoke(registration)
 
     def resource_changed(self, resource: str) -> None:
         """Give its ports their rights to a resource again that has come back."""
@@ -444,7 +452,7 @@ class Step:
         self.runner = runner_for(reaction, sight, hooks, began, owner, seat)
         self._loop = loop = asyncio.get_running_loop()
         self._blind_timeout = blind_timeout
-        self._blind_timer: asyncio.TimerHandle | None = None
+        self._blind_timer = Deadlines.of(loop).idle(self._blind_for_too_long)
         self._is_blind()
         self.needs = tuple(reaction.needs.values())
         self.own: list[Registration] = []  # the registrations that end with it
@@ -466,7 +474,7 @@ class Step:
             if timer is not None:
                 timer.cancel()
             self.runner.stop()
-            self._sees_again()
+            self._blind_timer.cancel()
             for registration in self.own:
                 self._member.crew.resources.control.revoke(registration)
             for output in self.runner.outputs.all.values():
@@ -495,22 +503,14 @@ class Step:
             self._is_blind()
 
     def _is_blind(self) -> None:
-        if self._blind_timeout is not None and self._blind_timer is None:
-            self._blind_timer = self._loop.call_later(
-                self._blind_timeout, self._blind_for_too_long
-            )
+        if self._blind_timeout is not None:
+            self._blind_timer.start_by(self._loop.time() + self._blind_timeout)
 
     def _sees(self) -> None:
         self.sight.sees()
-        self._sees_again()
-
-    def _sees_again(self) -> None:
-        if self._blind_timer is not None:
-            self._blind_timer.cancel()
-            self._blind_timer = None
+        self._blind_timer.cancel()
 
     def _blind_for_too_long(self) -> None:
-        self._blind_timer = None
         error = self.runner.absence()
         if error is not None:
             self.crash(error)
