@@ -623,7 +623,7 @@ class Page:
     Attributes:
         host: The address.
         port: The port; 0 for any that is free.
-        token: What a browser must show, of at least 22 characters (128 bit), none a %.
+        token: What a browser must show, of at least 22 characters (128 bit), no %.
         certificate: The file with the certificate, for TLS.
         key: The file with its key.
         insecure: Whether another address may be without TLS.
@@ -640,8 +640,7 @@ class Page:
         if type(self.port) is not int or not 0 <= self.port < 65536:
             raise ConfigError("page", "port", f"expected 0 to 65535, not {self.port!r}")
         if self.token is not None and (len(self.token) < 22 or "%" in self.token):
-            told = "expected at least 22 characters, none a %"
-            raise ConfigError("page", "token", told)
+            raise ConfigError("page", "token", "expected 22 characters or more, no %")
         if (self.certificate is None) != (self.key is None):
             raise ConfigError("page", "key", "expected a certificate and its key")
         if not (self.is_local or self.certificate or self.insecure):

@@ -425,7 +425,7 @@ def test_another_address_needs_tls_or_a_word():
         esair.Page(host="0.0.0.0")
     with pytest.raises(esair.ConfigError, match="22"):
         esair.Page(token="short")
-    with pytest.raises(esair.ConfigError, match="none a %"):
+    with pytest.raises(esair.ConfigError, match="no %"):
         esair.Page(token=f"{TOKEN}%")  # an address would say something else
     assert TOKEN not in repr(esair.Page(token=TOKEN))
 

@@ -25,9 +25,7 @@ from esair.values import printable
 
 INTERRUPTED: Final = 130  # The exit code after Ctrl-C: 128 and the number of SIGINT
 NOT_DONE: Final = 1  # The exit code if a robot has not done what it was told
-CANNOT_USE: Final = (
-    2  # That of a command line, file or installation which cannot be used
-)
+CANNOT_USE: Final = 2  # That of a command line, file or package that cannot be used
 
 _EXTRAS: Final = {
     **dict.fromkeys(("mcap", "foxglove", "lz4", "zstandard"), "record"),

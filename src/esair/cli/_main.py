@@ -11,15 +11,13 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
-from esair.cli._errors import CANNOT_USE, exit_code_of, tell
+from esair.cli._errors import CANNOT_USE, NOT_DONE, exit_code_of, tell
 from esair.exceptions import describe
 
 if TYPE_CHECKING:
     from cyclopts import App
 
 _NEEDED: Final = ("cyclopts", "rich")
-
-CANNOT_WRITE: Final = 1  # The exit code if there is no room for what is to be written
 
 
 def main(arguments: Sequence[str] | None) -> None:
@@ -48,7 +46,7 @@ def main(arguments: Sequence[str] | None) -> None:
             raise
         _write_no_more()
         tell(describe(error))
-        code = CANNOT_WRITE
+        code = NOT_DONE  # there is no room for what is to be written
     sys.exit(code)
 
 

@@ -37,11 +37,10 @@ def class_of(part: object) -> str:
 
 def told(error: BaseException) -> list[str]:
     """Return one block of lines: what has gone wrong, where, and what to do."""
-    mistakes = list(leaves(error))
     lines = []
     if isinstance(error, BaseExceptionGroup):
         lines.append(printable(error.message))
-    for each in mistakes:
+    for each in leaves(error):
         lines.append(describe(each))
         cause = each.__cause__ if isinstance(each, BehaviorFailedError) else each
         where = getattr(each, "__notes__", None) or [line_of(cause or each)]
