@@ -461,19 +461,24 @@ def in_short(error: BaseException) -> str:
 
 
 def line_of(error: BaseException) -> str:
-    """Return the last line of the user's own code that an error came by; or nothing."""
+    """Return the last line of the user's own code that an error came by; or nothing.
+
+    Of the cause that began it, if it has any: there is what is to be mended.
+    """
     import linecache
     import os
     import traceback
 
     ours = (os.path.dirname(__file__), os.path.dirname(os.__file__), "<")
     place = ""
-    for frame, number in traceback.walk_tb(error.__traceback__):
-        file, name = frame.f_code.co_filename, frame.f_code.co_name
-        if not file.startswith(ours):
-            text = linecache.getline(file, number).strip()
-            place = printable(f"{file}, line {number}, in {name}: {text}")
-    return place or (line_of(error.__cause__) if error.__cause__ else "")
+    for _ in range(GROUPS):  # causes may go in a circle
+        for frame, number in traceback.walk_tb(error.__traceback__):
+            file, name = frame.f_code.co_filename, frame.f_code.co_name
+            if not file.startswith(ours):
+                text = linecache.getline(file, number).strip()
+                place = printable(f"{file}, line {number}, in {name}: {text}")
+        error = error.__cause__ or error
+    return place
 
 
 def wants_traceback() -> bool:

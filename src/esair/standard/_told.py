@@ -9,7 +9,6 @@ from pathlib import Path
 from types import TracebackType
 
 from esair.exceptions import (
-    BehaviorFailedError,
     ConfigError,
     EsairError,
     describe,
@@ -42,8 +41,7 @@ def told(error: BaseException) -> list[str]:
         lines.append(printable(error.message))
     for each in leaves(error):
         lines.append(describe(each))
-        cause = each.__cause__ if isinstance(each, BehaviorFailedError) else each
-        where = getattr(each, "__notes__", None) or [line_of(cause or each)]
+        where = getattr(each, "__notes__", None) or [line_of(each)]
         lines += [f"  where: {place}" for place in where if place]
     started = not isinstance(error, BaseExceptionGroup | ConfigError)
     todo = "mend that line" if started else "nothing was opened, nothing moved: mend it"
