@@ -329,6 +329,23 @@ async def test_a_stream_that_raises_is_asked_for_again(user_of: Any) -> None:
         assert await user.radar.read() == float(begun)
 
 
+@pytest.mark.fault("D23")
+async def test_the_first_fault_of_a_device_is_told(caplog: Any) -> None:
+    """One that goes on after each of them would hide a mistake in its code for ever."""
+
+    class Radar(esair.Sensor[float]):
+        async def stream(self) -> AsyncIterator[float]:
+            yield 1.0
+            yield {"left": 1.0}["right"]
+
+    async with esair.Robot(resources=[Radar()]):
+        await asyncio.sleep(1.0)
+    (told,) = [each for each in caplog.records if "fault" in each.getMessage()]
+    assert told.getMessage().startswith("radar: first fault: ")
+    assert told.getMessage().endswith("KeyError: 'right'")
+    assert told.exc_info[0] is KeyError
+
+
 @pytest.mark.fault("D26")
 async def test_a_stream_of_wrong_values_closes_the_device(user_of: Any) -> None:
     """Wrong values count as faults of the device, also when nobody reads."""

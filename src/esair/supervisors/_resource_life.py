@@ -394,6 +394,8 @@ class ResourceLife:
             self._look_after(0.0)  # it was silent: it may have restarted
         if self._faults_in_row >= self.resource.fault_limit:
             self.hear(error)
+        elif self.faults == 1:
+            self._warn("first fault", error)
 
     # Whether its set-up is still there.
 
@@ -658,11 +660,15 @@ class ResourceLife:
         if first:
             self.losses += 1
             self.life.tell(Kind.DOWN, cause, in_short(cause))
-            raised = error.__cause__ if isinstance(error, DeviceFaultError) else error
-            bug = None if isinstance(raised, OSError | EsairError) else raised
-            _log.warning("%s: lost: %s", self.name, describe(error), exc_info=bug)
+            self._warn("lost", error)
         elif type(error) is AnotherDeviceError and type(before) is not type(error):
-            _log.warning("%s: still lost: %s", self.name, describe(error))
+            self._warn("still lost", error)
+
+    def _warn(self, of: str, error: BaseException) -> None:
+        """Log what is wrong with the device; where, if it is the code of its driver."""
+        raised = error.__cause__ if isinstance(error, DeviceFaultError) else error
+        bug = None if isinstance(raised, OSError | EsairError) else raised
+        _log.warning("%s: %s: %s", self.name, of, describe(error), exc_info=bug)
 
     def _cause(self, error: BaseException) -> EsairError:
         """Make what those meet who use the device after a loss."""
