@@ -37,7 +37,7 @@ REMOVED = (
 )
 NOT_LOOKED_AT = {"annotation", "returns", "decorator_list", "bases", "keywords"}
 """Fields of functions, classes and assignments that say what things are."""
-TOLERANCES = {"_EARLY", "AHEAD", "EARLY", "REACHED"}
+TOLERANCES = {"_EARLY", "AHEAD", "EARLY", "GRACE", "REACHED"}
 NOT_CALLED = {"__repr__", "__str__"}
 
 
@@ -115,8 +115,12 @@ def _says_something(node: ast.AST) -> bool:
             return True
         case ast.If(test=ast.Name(id="TYPE_CHECKING")):
             return True
-        case ast.FunctionDef(name=name):
-            return name in NOT_CALLED
+        case ast.FunctionDef(name=name) if name in NOT_CALLED:
+            return True
+        case ast.FunctionDef() | ast.AsyncFunctionDef():
+            return any(
+                getattr(it, "id", "") == "overload" for it in node.decorator_list
+            )
         case ast.keyword(arg="init" | "kw_only"):  # nobody calls it in the other way
             return True
         case ast.Import() | ast.ImportFrom() | ast.Assert():
