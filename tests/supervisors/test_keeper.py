@@ -18,6 +18,9 @@ from esair.testing import FakeActuator, FakeSensor
 pytestmark = [pytest.mark.real_clock, pytest.mark.promise("GRD-1", "GRD-3")]
 
 
+READY = esair.ResourceState.READY
+
+
 class FakeWatchdog:
     """Notes what it is told; it dies when the test says so."""
 
@@ -382,6 +385,32 @@ async def test_what_is_removed_keeps_nobody_still(fake: type[FakeWatchdog]) -> N
         await asyncio.sleep(0.05)
         robot.resume()
         assert not robot.halted
+
+
+@pytest.mark.promise("GRD-4")
+async def test_what_was_told_to_one_that_died_is_told_to_the_next(
+    fake: type[FakeWatchdog],
+) -> None:
+    """It died before it answered: the device is watched by the one that came meanwhile."""
+    robot, motor, _ = robot_with(watchdog_death="alarm")
+    async with robot:
+        dog: Any = fake.made[0]
+        arm = dog.arm
+
+        async def dies(*_: object) -> str:
+            dog.arm = arm
+            dog.die()
+            while dog.starts < 2:  # noqa: ASYNC110
+                await asyncio.sleep(0.01)
+            return "it died"
+
+        dog.arm = dies
+        motor.unplug()
+        await asyncio.sleep(0.02)
+        motor.plug()
+        while dog.starts < 2 or state_of(robot) is not READY:  # noqa: ASYNC110
+            await asyncio.sleep(0.01)
+        assert "sends its safe command" in robot.resources.why("motor").dies
 
 
 @pytest.mark.promise("GRD-4")
