@@ -246,7 +246,7 @@ class Keeper:
 
     async def _start_again(self) -> None:
         if self._deaths > STARTS:
-            pause = min(2.0 ** min(self._deaths - STARTS - 1, 9), MAX_PAUSE)
+            pause = min(2 ** (self._deaths - STARTS - 1), MAX_PAUSE)
             _log.warning("watchdog: it is started again in %g s", pause)
             await asyncio.sleep(pause)
         number = self._armory.number
