@@ -354,6 +354,34 @@ async def test_a_reaction_is_performed_until_its_condition() -> None:
 
 
 @pytest.mark.promise("BEH-3")
+async def test_what_has_reached_its_condition_decides_on_no_other_reading() -> None:
+    """Not on those either that have come in the same moment, and wait."""
+    seen: list[float] = []
+
+    class Each(esair.Reaction):
+        sonar = esair.reads(float, every=True)
+        wheels = esair.writes(float)
+
+        def react(self, sonar: float) -> float:
+            seen.append(sonar)
+            return sonar
+
+    sonar, wheels = devices()
+    idle = Idle()
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[idle]):
+        performing = asyncio.ensure_future(
+            idle.perform(Each(), until=lambda sonar: sonar == 3.0)
+        )
+        await wheels.until(1.0)
+        for value in (2.0, 3.0, 4.0):
+            sonar.feed(value)
+        assert await performing is True
+        assert seen[-1] == 3.0
+        await asyncio.sleep(0.1)
+        assert 4.0 not in wheels.commands
+
+
+@pytest.mark.promise("BEH-3")
 async def test_a_reaction_is_performed_for_a_limited_time() -> None:
     """False when the time is over first, and not a moment later."""
     sonar, wheels = devices()
