@@ -620,3 +620,27 @@ async def test_times_may_be_of_a_class_of_floats(
         await mapper.put("mapper", 1, interval=half)
         async for _ in esair.every(half):
             break
+
+
+async def test_who_comes_while_the_device_is_asked_has_the_next_question() -> None:
+    """It follows at once, however seldom the device is asked by itself."""
+
+    class Slow(esair.Sensor[float]):
+        rate = 0.1
+        deadline = 5.0
+
+        async def read(self) -> float:
+            await asyncio.sleep(0.1)
+            return 1.0
+
+    user: Any = esair.Behavior(name="user", reads={"slow": esair.reads(float)})
+    async with esair.Robot(resources=[Slow()], behaviors=[user]):
+        loop = asyncio.get_running_loop()
+        began = loop.time()
+        first = asyncio.create_task(user.slow.read(fresh=True))
+        await asyncio.sleep(0.05)
+        second = asyncio.create_task(user.slow.read(fresh=True))
+        await first
+        assert loop.time() - began == pytest.approx(0.1)
+        await second
+        assert loop.time() - began == pytest.approx(0.2)
