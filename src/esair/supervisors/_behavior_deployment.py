@@ -609,6 +609,8 @@ class BehaviorDeployment:
         """End every behavior, the last one first; all share one grace period."""
         until = asyncio.get_running_loop().time() + self.grace + MARGIN
         await self.commands.close()
+        if self.turns.round is not None:
+            self.turns.round.cancel()
         self.mediator.close()
         # What the user is taking away goes its own way.
         leaving = set(self.ending)
