@@ -419,6 +419,19 @@ def test_who_runs_when_and_who_guards_what_is_not_left_out(tmp_path) -> None:
     ]
 
 
+def test_what_only_std_has_is_told_though_it_is_rarely_reached(tmp_path) -> None:
+    """In a branch that no trial comes to, where a board would have raised instead."""
+    held = "if sonar < 0.1:\n            return esair.HOLD\n        return 0.5"
+    text = "import esair\n" + SIMPLE.replace("return 0.5", held)
+    (tmp_path / "held_parts.py").write_text(text)
+    path = simple(tmp_path, behavior_go="held_parts:Go")
+
+    with mock.patch.dict(sys.modules):
+        (found,) = misfits(path, tmp_path / "board")
+    told = "module 'held_parts' uses esair.HOLD, which only STD has"
+    assert found == f"behavior.go: {told}"
+
+
 def test_infinity_of_the_file_goes_to_the_board(micropython, tmp_path) -> None:
     """A limit that is none is allowed in a robot.toml, and is no name there."""
     path = simple(tmp_path)

@@ -98,10 +98,8 @@ def deploy(
 
 
 def _is_copied(path: Path) -> bool:
-    return path.parts[0] not in {"compiled", "__pycache__"} and path.suffix in {
-        ".py",
-        ".mpy",
-    }
+    is_code = path.suffix in {".py", ".mpy"}
+    return is_code and path.parts[0] not in {"compiled", "__pycache__"}
 
 
 def place_of(port: str) -> str:

@@ -68,6 +68,9 @@ class Modules:
         for node in run_on_boards(tree, ["ImportError"]):
             if isinstance(node, ast.Import | ast.ImportFrom):
                 self._follow(node, name, is_package, key)
+        for node in run_on_boards(tree):
+            if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "esair":
+                self._from_esair([node.attr], name, node, key)
         if name.startswith("esair."):
             return  # they are tried on MicroPython by the tests
         for line, reason in what_boards_do_not_know(tree):
@@ -96,7 +99,7 @@ class Modules:
                 self._need(target, name, node.lineno, key)
 
     def _from_esair(
-        self, wanted: list[str], name: str, node: ast.ImportFrom, key: str
+        self, wanted: list[str], name: str, node: ast.stmt | ast.expr, key: str
     ) -> None:
         for each in wanted:
             if each in FACADE:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -85,9 +86,7 @@ def build(
     parts = fitting_parts(path, described, misfit)
     steps = rate if rate is not None else rate_of(parts)
     loop_mistakes(parts, steps, misfit)
-    if arm not in {"host", "always"} and not (
-        arm.startswith("pin:") and arm[4:].isdigit()
-    ):
+    if not re.fullmatch("host|always|pin:[0-9]+", arm):
         misfit("", f"arm={arm!r}: expected host, always, or pin: and a number")
     if watchdog is not None and (watchdog > 8 or _time_out(watchdog) * steps <= 1000):
         told = "an AVR has 0.015, 0.03, 0.06, 0.12, 0.25, 0.5, 1, 2, 4 and 8: take one"
@@ -105,8 +104,7 @@ def build(
         for kind in ("behavior", "sensor", "actuator")
     )
     with searched_first(path.parent):
-        armed = arm == "always"
-        wiring = Wiring(reactions, sensors, actuators, steps, armed, refuse)
+        wiring = Wiring(reactions, sensors, actuators, steps, arm == "always", refuse)
         program = wiring.program()
     if found:
         raise ExceptionGroup(f"{path} cannot be translated to C", found)
