@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import AsyncIterator
 from typing import Any, Final
 
@@ -39,6 +40,18 @@ class Go(esair.Behavior):
 
     async def teardown(self) -> None:
         self.story.append("teardown")
+
+
+class Unheeding(esair.Behavior):
+    """Drives, and heeds no cancellation."""
+
+    wheels = esair.writes(float)
+
+    async def run(self) -> None:
+        while True:
+            with contextlib.suppress(asyncio.CancelledError):
+                await self.wheels.write(0.5)
+                await asyncio.sleep(0.05)
 
 
 class StepError(Exception):

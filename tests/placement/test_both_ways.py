@@ -121,6 +121,17 @@ async def test_a_step_has_a_timeout(place: Place) -> None:
 
 
 @pytest.mark.promise("BEH-3")
+async def test_a_step_moves_nothing_when_its_time_is_long_over(place: Place) -> None:
+    """Though it heeds no cancellation."""
+    acts = place(Acts(("perform_for", 1.0, "Unheeding")))
+    async with World(acts, grace=0.5) as world:
+        await world.wheels.until(0.5, timeout=1.0)
+        await asyncio.sleep(1.7)
+        assert world.wheels.commands.count(0.5) <= 31
+        assert world.wheels.commands[-1] == 0.0
+
+
+@pytest.mark.promise("BEH-3")
 async def test_steps_in_a_task_group(place: Place) -> None:
     """One that fails ends the others."""
     async with World(place(Acts(("group",), ("why",)))) as world:

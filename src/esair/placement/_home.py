@@ -114,7 +114,7 @@ class Host:
         portal = None
         if not inspect.iscoroutinefunction(behavior.run):
             portal = Portal(child.name, child.owner)
-        over = child.call("step", child.recipe(behavior))
+        over = child.call("step", child.recipe(behavior), timeout)
         number, granted = child.newest, child.loop.create_future()
         child.told_of(number, granted.set_result)
         try:

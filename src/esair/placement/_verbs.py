@@ -285,10 +285,15 @@ class BehaviorVerbs(PortVerbs):
             host = vars(self._behavior)["_host"]
             return await host.perform(reaction, until, **limits, seat=seat)  # type: ignore[no-any-return]
 
-    async def _step(self, asked: Asked, recipe: object) -> None:
-        behavior = loaded(recipe)
+    async def _step(
+        self, asked: Asked, recipe: object, timeout: float | None = None
+    ) -> None:
+        behavior, host = loaded(recipe), vars(self._behavior)["_host"]
         if not isinstance(behavior, Behavior):
             raise ConfigError(behavior.name, "", "expected a Behavior")
+        if timeout is not None:
+            check_duration(self._behavior.name, "timeout", timeout)
+            timeout += host.crew.grace  # the child has ended it before, and cleaned up
         loop = asyncio.get_running_loop()
         is_set_up, is_over = stages = loop.create_future(), loop.create_future()
 
@@ -305,7 +310,7 @@ class BehaviorVerbs(PortVerbs):
         vars(behavior).update(setup=setup, run=run, teardown=teardown)
         self._stages[asked.number] = iter(stages)
         with self._performed(asked, behavior):
-            await vars(self._behavior)["_host"].perform_behavior(behavior, None)
+            await host.perform_behavior(behavior, timeout)
 
     @contextlib.contextmanager
     def _performed(self, asked: Asked, action: Behavior | Reaction) -> Iterator[None]:

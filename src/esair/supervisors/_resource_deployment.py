@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 
 
 BUS_TIMEOUT = 2.0  # how long a bus may take to open or to close, in seconds
+AT_LEAST = 0.02  # how long it takes to tell one that goes, however late, in seconds
 
 _log = logging.getLogger("esair")
 
@@ -93,10 +94,6 @@ less than `run` has, for what cannot be hurried."""
 SAFE_WITHIN = 1.5
 """How long it may take of that until each actuator has answered, in seconds: then it is
 told which have not, whatever their deadlines."""
-
-
-AT_LEAST = 0.02
-"""How long one that goes has to be told, in seconds, however late its turn comes."""
 
 
 class ResourceDeployment:
