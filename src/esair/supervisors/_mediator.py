@@ -283,7 +283,7 @@ class Mailbox:
                 )
             if not self.takers:
                 self.takers = []
-            await wait_among(self.takers, lambda: self.inbox, deadline)
+            await wait_among(self.takers, deadline)
         taken = self.inbox.pop(0)
         if self.senders.count:
             self.admit()

@@ -648,13 +648,11 @@ class OrderQueue(RequestQueue):
                 self.begun(order)
                 order.outer = served()
                 return order
-            await wait_among(self._takers, lambda: self.count)
+            await wait_among(self._takers)
 
 
 async def wait_among(
-    takers: list[asyncio.Future[None]],
-    is_there: Callable[[], object],
-    deadline: float | None = None,
+    takers: list[asyncio.Future[None]], deadline: float | None = None
 ) -> None:
     """Wait, until a moment, with others of whom one is woken for what has come."""
     loop = asyncio.get_running_loop()
@@ -664,7 +662,7 @@ async def wait_among(
     try:
         await taker
     except asyncio.CancelledError:
-        if is_there() and not taker.cancelled():
+        if not taker.cancelled():
             wake_one(takers)  # it was woken in the same tick: wake the next one
         raise
     finally:
