@@ -919,3 +919,18 @@ async def test_one_that_a_higher_priority_ends_goes_to_no_safe_place() -> None:
         assert lift.did[began:] == ["home ended", esair.HOLD, 0.5]
         with pytest.raises(esair.AccessDeniedError):
             await homing
+
+
+@pytest.mark.promise("PRO-12")
+async def test_what_moves_goes_to_no_safe_place_before_one() -> None:
+    """It stays where it is, and the operation begins there."""
+
+    class Far(Lift):
+        safe_moves = True
+
+    lift, user = Far(name="lift"), User()
+    async with esair.Robot(resources=[lift], behaviors=[user]):
+        assert await user.lift.write(0.5)
+        began = len(lift.did)
+        await user.lift.operate("zero")
+        assert lift.did[began : began + 2] == [esair.HOLD, "zero"]

@@ -412,3 +412,36 @@ async def test_calls_that_got_no_turn_are_counted_and_are_no_fault() -> None:
         status = robot.resources.query("part")
         assert (status.state, status.faults) == (ResourceState.READY, 0)
         assert robot.journal.counts()["part"]["no_turns"] == 4
+
+
+@pytest.mark.promise("RES-3")
+async def test_a_silence_that_was_over_by_another_opening_disturbs_no_restart() -> None:
+    """When its sensor speaks at last, a behavior that has failed since is begun anew."""
+
+    class Reads(esair.Behavior):
+        sonar = esair.reads(float, max_age=0.5)
+        restart = esair.Restart(delay=1.0)
+        runs = 0
+
+        async def run(self) -> None:
+            self.runs += 1
+            if self.runs == 1:
+                await self.sonar.read(timeout=1.0)
+            if self.runs == 2:
+                raise ValueError("its own mistake")
+            await asyncio.sleep(1e6)
+
+    reads = Reads()
+    sonar: FakeSensor[float] = FakeSensor("sonar", type=float)
+    async with esair.Robot(resources=[sonar], behaviors=[reads]) as robot:
+        await asyncio.sleep(1.2)
+        assert robot.behaviors.query("reads").detail == "sonar is silent"
+        sonar.unplug()
+        await asyncio.sleep(0.1)
+        sonar.plug()
+        await asyncio.sleep(0.5)
+        state = robot.behaviors.query("reads").state
+        assert (reads.runs, state) == (2, esair.BehaviorState.RESTARTING)
+        sonar.feed(1.0)
+        await asyncio.sleep(2.0)
+        assert reads.runs == 3
