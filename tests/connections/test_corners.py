@@ -744,3 +744,17 @@ async def test_the_stop_waits_for_a_write_in_flight_and_then_for_safe() -> None:
     writing.exception()
     assert wheels.commands[-2:] == [1.0, 0.0]
     assert robot.stopped[0].answered
+
+
+@pytest.mark.promise("AC-4")
+async def test_a_safe_command_that_is_stuck_is_not_begun_before_itself() -> None:
+    """The report of the stop says what is wrong with it."""
+    sonar, wheels, user = parts()
+    robot = esair.Robot(resources=[sonar, wheels], behaviors=[user])
+    async with robot:
+        assert await user.wheels.write(1.0)
+        wheels.stall()
+    assert robot.stopped is not None
+    (told,) = robot.stopped
+    assert (told.command, told.answered) == (0.0, False)
+    assert told.error == "it has not answered yet"
