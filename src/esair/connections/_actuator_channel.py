@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from esair.connections._calls import OPERATE, Call, End, Guard, Method
 from esair.connections._device import Device, OfRobot, Operating
 from esair.connections._gate import (
-    HALT,
-    HALT_PRIORITY,
     BeingReplacedError,
     Gate,
     Hold,
@@ -728,8 +726,6 @@ class ActuatorChannel(Device):
             elif self.safe.is_refused:
                 refused = Refused(self.name, 0, wire.told.error, now, None)
         if isinstance(refused, Refused):
-            if refused.holder == HALT and refused.priority == HALT_PRIORITY:
-                raise HaltedError(self.name, refused.rule)
             raise AccessDeniedError(
                 right.behavior, self.name, f"operate ({operation.name})", refused.rule
             )
