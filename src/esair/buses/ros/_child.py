@@ -266,17 +266,15 @@ def plain(value: Any) -> Any:
     if hasattr(value, "get_fields_and_field_types"):
         fields = value.get_fields_and_field_types()
         return {name: plain(getattr(value, name)) for name in fields}
-    if isinstance(value, array.array):
-        return value.tobytes() if value.typecode == "B" else value.tolist()
-    if hasattr(value, "tolist"):  # of numpy
+    if getattr(value, "typecode", "") == "B":
+        return value.tobytes()
+    if hasattr(value, "tolist"):  # of numpy, too
         return value.tolist()
     if isinstance(value, (list, tuple)):
-        return b"".join(value) if _are_bytes(value) else [plain(each) for each in value]
+        if value and all(isinstance(each, bytes) for each in value):
+            return b"".join(value)
+        return [plain(each) for each in value]
     return value
-
-
-def _are_bytes(values: Any) -> bool:
-    return bool(values) and all(isinstance(each, bytes) for each in values)
 
 
 def found(kind: str) -> Any:
@@ -350,13 +348,9 @@ class Graph:
             try:
                 link["class"] = found(link["type"])
                 getattr(self, "_{kind}_{flow}".format(**link))(link["name"], link)
-            except (
-                Exception
-            ) as error:  # such as no package of its type: others are there
-                self.missing[link["name"]] = "{type}: {error}".format(
-                    error=error, **link
-                )
-                node.get_logger().error(self.missing[link["name"]])
+            except Exception as error:  # no package of its type: others are there
+                why = self.missing[link["name"]] = f"{link['type']}: {error}"
+                node.get_logger().error(why)
         # The node's own clock stands still when the time of day is set back, or simulated.
         told = {"clock": Clock(clock_type=ClockType.STEADY_TIME)}
         node.create_timer(BEAT, bridge.tick, self.group, **told)

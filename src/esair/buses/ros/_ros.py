@@ -140,17 +140,15 @@ class Ros:
     @property
     def setup(self) -> dict[str, Any]:
         """What the other side is told first."""
-        links = [attrs.asdict(each, recurse=False) for each in self.links]
-        for each in links:
-            del each["form"], each["answer"], each["part"], each["rate"]
+        told = "name", "type", "kind", "flow", "latched"
+        links = [{name: getattr(each, name) for name in told} for each in self.links]
         feeds = {
             each.part: each.rate
             for each in self.links
             if (each.kind, each.flow) == ("topic", "out")
         }
-        node, space = self.node or self.me, self.namespace
-        told = {"node": node, "namespace": space, "domain": self.domain}
-        return {**told, "links": links, "feeds": feeds}
+        node = {"node": self.node or self.me, "namespace": self.namespace}
+        return {**node, "domain": self.domain, "links": links, "feeds": feeds}
 
     async def _live(self, bus: PeerBus) -> None:
         """Begin it, hear it to its end, and begin it again."""
