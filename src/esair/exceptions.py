@@ -463,21 +463,21 @@ def in_short(error: BaseException) -> str:
 def line_of(error: BaseException) -> str:
     """Return the last line of the user's own code that an error came by; or nothing.
 
-    Of the cause that began it, if it has any: there is what is to be mended.
+    Of a behavior that failed it is where that has failed, not where it was met.
     """
     import linecache
     import os
     import traceback
 
     ours = (os.path.dirname(__file__), os.path.dirname(os.__file__), "<")
+    while isinstance(error, BehaviorFailedError) and error.__cause__:
+        error = error.__cause__
     place = ""
-    for _ in range(GROUPS):  # causes may go in a circle
-        for frame, number in traceback.walk_tb(error.__traceback__):
-            file, name = frame.f_code.co_filename, frame.f_code.co_name
-            if not file.startswith(ours):
-                text = linecache.getline(file, number).strip()
-                place = printable(f"{file}, line {number}, in {name}: {text}")
-        error = error.__cause__ or error
+    for frame, number in traceback.walk_tb(error.__traceback__):
+        file, name = frame.f_code.co_filename, frame.f_code.co_name
+        if not file.startswith(ours):
+            text = linecache.getline(file, number).strip()
+            place = printable(f"{file}, line {number}, in {name}: {text}")
     return place
 
 

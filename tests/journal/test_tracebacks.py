@@ -6,10 +6,11 @@ import asyncio
 import io
 import logging
 
+import attrs
 import pytest
 
 import esair
-from esair.exceptions import told_traceback
+from esair.exceptions import line_of, told_traceback
 from esair.journal import tell_where
 
 pytestmark = [pytest.mark.promise("SEC-1"), pytest.mark.virtual_clock]
@@ -113,3 +114,25 @@ async def test_a_mistake_in_a_driver_is_told_with_its_line(
         [f"  where: {__file__}"] if is_there else []
     )
     assert all(each.endswith(place) for each in told)
+
+
+@attrs.frozen
+class Look(esair.Request[float]):
+    """To be answered."""
+
+
+class Blind(esair.Behavior):
+    """Has a mistake in its answer."""
+
+    @esair.answers
+    async def look(self, request: Look) -> float:
+        return {"left": 1.0}["right"]
+
+
+async def test_who_asked_is_told_the_line_of_who_failed() -> None:
+    """Its own line, in which it asks, is not the one to be mended."""
+    asker = esair.Behavior(name="asker")
+    async with esair.Robot(behaviors=[asker, Blind()]):
+        with pytest.raises(esair.BehaviorFailedError) as found:
+            await asker.ask("blind", Look())
+    assert line_of(found.value).endswith('in look: return {"left": 1.0}["right"]')
