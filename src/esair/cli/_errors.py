@@ -63,12 +63,10 @@ def tell(message: str) -> None:
 
 def exit_code_of(error: Exception) -> int | None:
     """Say what has ended a verb; return its exit code, None if nobody expected it."""
-    if isinstance(error, ConfigError):
-        return _show_mistakes([error])
-    if isinstance(error, ExceptionGroup):
-        mistakes, rest = error.split(ConfigError)
-        found = mistakes is not None and rest is None
-        return _show_mistakes(list(leaves(error))) if found else None
+    if isinstance(error, ConfigError | ExceptionGroup):
+        found = list(leaves(error))
+        strange = not all(isinstance(each, ConfigError) for each in found)
+        return None if strange else _show_mistakes(found)
     if isinstance(error, ModuleNotFoundError):
         package = (error.name or "").partition(".")[0]
         extra = _EXTRAS.get(package)

@@ -17,7 +17,7 @@ from esair.cli._log import shown_log
 from esair.cli._options import Running
 from esair.exceptions import EsairError
 from esair.loop import check_priority
-from esair.standard import told
+from esair.standard import leaves, told
 from esair.values import printable
 
 _AS_SAID = Running()
@@ -86,15 +86,12 @@ def _drive(
     try:
         with shown_log(verbose=options.verbose, tracebacks=options.traceback):
             esair.run(robot, duration=options.seconds, loop_factory=loop_factory)
-    except EsairError as error:
-        if options.traceback:
+    except (EsairError, ExceptionGroup) as error:
+        errors = list(leaves(error))
+        strange = not all(isinstance(each, EsairError) for each in errors)
+        if strange or options.traceback:
             raise
-        return _not_started(error)
-    except ExceptionGroup as group:
-        errors, rest = group.split(EsairError)
-        if errors is None or rest is not None or options.traceback:
-            raise
-        return _not_started(*errors.exceptions)
+        return _not_started(errors)
     # What each actuator was told at the end is in the log.
     return 0 if all(told.answered for told in robot.stopped) else NOT_DONE
 
@@ -159,7 +156,7 @@ def _headline(described: config.Description) -> str:
     return f"{described.name}{simulated}: {devices}, {behaviors}; Ctrl-C stops it"
 
 
-def _not_started(*errors: Exception) -> int:
+def _not_started(errors: list[BaseException]) -> int:
     for error in errors:
         tell("\n".join(told(error)))
     lacks = any(isinstance(error.__cause__, ImportError) for error in errors)
