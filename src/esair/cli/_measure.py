@@ -206,13 +206,8 @@ def _up_to(number: int) -> str:
 
 def about_computer() -> Iterator[str]:
     """Say which settings of this computer cost real time, and how to change them."""
-    slow = [
-        each.parent.parent.name
-        for each in Path("/sys/devices/system/cpu").glob(
-            "cpu*/cpufreq/scaling_governor"
-        )
-        if _text(each) not in {"performance", ""}
-    ]
+    governors = Path("/sys/devices/system/cpu").glob("cpu*/cpufreq/scaling_governor")
+    slow = [each for each in governors if _text(each) not in {"performance", ""}]
     if slow:
         yield (
             f"{len(slow)} cores save power, which costs time to wake up: "

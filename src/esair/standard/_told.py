@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from types import TracebackType
 
 from esair.exceptions import (
@@ -17,7 +16,6 @@ from esair.exceptions import (
 )
 from esair.values import printable
 
-_ESAIR = str(Path(__file__).parents[1])
 _shown: list[BaseException] = []
 """The error with which the last robot of the program has ended."""
 
@@ -29,7 +27,7 @@ def class_of(part: object) -> str:
         file, (_, line) = inspect.getsourcefile(cls), inspect.getsourcelines(cls)
     except (OSError, TypeError):
         return ""
-    if file is None or file.startswith(_ESAIR):
+    if file is None or cls.__module__.startswith("esair."):
         return ""
     return printable(f"{file}, line {line}, class {cls.__name__}")
 
