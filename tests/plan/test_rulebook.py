@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 from pathlib import Path
 from typing import Any
 
@@ -533,3 +534,29 @@ def test_what_cannot_live_in_a_process_is_told(
     words = [str(each) for each in errors_in(examine(plan))]
     assert len(words) == bool(told)
     assert all(told in each for each in words)
+
+
+class Gear(enum.Enum):
+    LOW = 1
+    HIGH = 2
+
+
+@attrs.frozen
+class Shift:
+    gear: Gear
+    speed: float
+
+
+def test_what_a_field_is_shows_where_safe_is_to_stay_too() -> None:
+    """Its class says so: there is no safe command that could."""
+
+    class Box(esair.Actuator[Shift]):
+        safe = esair.HOLD
+        slew = {"gear": 1.0, "speed": 0.5}  # noqa: RUF012 - not changed
+
+        async def write(self, command: Shift) -> None: ...
+
+    told = [str(each) for each in errors_in(examine(Plan(resources=[Box()])))]
+    assert told == [
+        "box: slew.gear: Gear has no steps between its members: leave it out"
+    ]

@@ -106,3 +106,26 @@ async def test_the_log_says_that_a_guard_stops_and_lets_pass_again(
         "nothing pass",
         "commands pass again",
     ]
+
+
+async def test_who_may_write_is_told_with_what_happens_when_it_is_blind(
+    fake_sensor: Any, fake_actuator: Any
+) -> None:
+    """A hold of its own is what counts, and no guard of the same name."""
+
+    class Stops(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float, priority=10)
+
+        def react(self, sonar: float) -> float | None:
+            return None
+
+    class Lets(Stops):
+        wheels = esair.writes(float, blind="release")
+
+    resources = [fake_sensor("sonar", 1.0), fake_actuator("wheels", safe=0.0)]
+    async with esair.Robot(resources=resources, behaviors=[Stops(), Lets()]) as robot:
+        assert robot.resources.why("wheels").writers == (
+            "stops writes with priority 10; when blind: safe",
+            "lets writes with priority 0; when blind: release",
+        )
