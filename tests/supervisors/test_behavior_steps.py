@@ -173,6 +173,33 @@ async def test_it_moves_nothing_when_its_time_is_long_over() -> None:
     assert commands[-1] == 0.0
 
 
+async def test_it_is_given_no_right_when_its_time_is_long_over() -> None:
+    """One that registers anew, or whose device comes back, moves nothing either."""
+
+    class Stubborn(esair.Behavior):
+        wheels = esair.writes(float)
+
+        async def run(self) -> None:
+            port: Any = self.wheels
+            while True:
+                with contextlib.suppress(asyncio.CancelledError):
+                    try:
+                        await port.write(0.5)
+                    except esair.NotRegisteredError:
+                        port = await self.register("wheels", esair.Access.WRITE)
+                        await port.write(0.7)
+                    await asyncio.sleep(0.05)
+
+    async def act(self: Captain) -> None:
+        await self.perform(Stubborn(), timeout=1.0)
+
+    outcome, commands = await told(act, grace=0.5)
+    assert isinstance(outcome, esair.NotRegisteredError)
+    assert "its time limit is over" in str(outcome)
+    assert 0.7 not in commands
+    assert commands[-1] == 0.0
+
+
 async def test_it_ends_with_its_performer() -> None:
     """Nothing of it moves after the removal."""
 

@@ -40,6 +40,7 @@ from esair.exceptions import (
     AccessDeniedError,
     BadValueError,
     EsairError,
+    NotRegisteredError,
     describe,
 )
 from esair.loop import Deadline, Deadlines, Owner, Portal, fail, raisable, wake
@@ -212,7 +213,7 @@ class Grants:
             with no higher priority than that.
     """
 
-    __slots__ = ("_crew", "_name", "_ports", "_under", "registrations")
+    __slots__ = ("_crew", "_name", "_ports", "_under", "is_over", "registrations")
 
     def __init__(
         self,
@@ -221,6 +222,8 @@ class Grants:
         under: Mapping[str, Need] | None = None,
     ) -> None:
         self._name = name
+        self.is_over = False
+        """No more is granted: who has them has gone on for too long."""
         self._under = under
         self._crew = crew
         self._ports: Mapping[str, Port] = _NO_PORTS
@@ -240,6 +243,8 @@ class Grants:
         Never one of another member with the same name, which is about to give its
         place to this one and takes its registrations along.
         """
+        if self.is_over:
+            raise NotRegisteredError(self._name, resource, "its time limit is over")
         if self._under is not None:
             own = [n.priority for n in self._under.values() if n.resource == resource]
             priority = min(priority, max(own, default=0))
@@ -418,6 +423,7 @@ class BehaviorStep:
                 self.portal.close()
 
     def _fence(self) -> None:
+        self.grants.is_over = True
         for registration in tuple(self.own):
             self._member.crew.resources.control.revoke(registration)
 
