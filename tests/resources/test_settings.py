@@ -203,3 +203,33 @@ def test_a_number_is_turned_into_the_class_of_the_setting() -> None:
     for wrong in (True, "30", 10**400):
         with pytest.raises(esair.BadValueError, match="expected a number in Hz"):
             Sonar(rate=wrong)
+
+
+@pytest.mark.promise("RS-4", "AC-4")
+@pytest.mark.virtual_clock
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [("command_timeout", 0.0), ("command_timeout", -1.0), ("fault_limit", 0)],
+)
+async def test_what_every_device_has_stays_what_its_class_may_say(
+    name: str, wrong: float
+) -> None:
+    """A time limit that is set while the robot runs is one, too."""
+
+    class Wheels(esair.Actuator[float]):
+        safe = 0.0
+        command_timeout: float = esair.setting(0.2)
+        fault_limit: int = esair.setting(3)
+
+        async def write(self, command: float) -> None: ...
+
+    wheels = Wheels(name="wheels")
+    right = esair.Access.WRITE | esair.Access.CONFIGURE
+    policy = esair.Policy("wheels", allow={"*": right})
+    async with esair.Robot(resources=[wheels], policies=[policy]) as robot:
+        mine = await robot.resources.register("me", "wheels", right)
+        with pytest.raises(esair.BadValueError, match=f"{name}: expected .* > 0"):
+            await robot.resources.configure(mine, **{name: wrong})
+        assert (wheels.command_timeout, wheels.fault_limit) == (0.2, 3)
+        await robot.resources.configure(mine, command_timeout=0.3, fault_limit=2)
+        assert (wheels.command_timeout, wheels.fault_limit) == (0.3, 2)

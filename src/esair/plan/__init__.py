@@ -11,7 +11,7 @@ A new rule goes into the file of its subject, and is asked in ``_examine.py``.
 """
 
 from esair.codec import inner_of
-from esair.plan._declarations import SCRIPT, recipe_of, unplaceable
+from esair.plan._declarations import SCRIPT, plain_mistakes, recipe_of, unplaceable
 from esair.plan._examine import (
     examine,
     examine_action,
@@ -55,6 +55,7 @@ __all__ = [
     "in_use",
     "inner_of",
     "not_alone",
+    "plain_mistakes",
     "protection",
     "recipe_of",
     "refuse",

@@ -547,6 +547,11 @@ def _in_plain(declared: object, table: _Plain) -> Iterator[tuple[str, str]]:
             yield field, f"expected {wanted}, not {value!r:.80}"
 
 
+def plain_mistakes(values: Mapping[str, object]) -> Iterator[tuple[str, str]]:
+    """Find what attributes that every device has cannot be, by their names."""
+    yield from _in_plain(types.SimpleNamespace(**values), _OF_RESOURCE)
+
+
 _NONE_HERE = object()
 
 

@@ -17,6 +17,7 @@ from esair.connections import (
 )
 from esair.exceptions import (
     AccessDeniedError,
+    BadValueError,
     BusyError,
     ConfigError,
     DeviceLostError,
@@ -29,8 +30,8 @@ from esair.exceptions import (
 from esair.journal import Kind
 from esair.loop import VERB_COST, Budget, current_owner, look_at, portal, spawn
 from esair.messages import Access, Policy, ResourceState, SupervisorPhase
-from esair.plan import denial, not_alone
-from esair.resources import APPLIED, check_settings, operation_of, shown
+from esair.plan import denial, not_alone, plain_mistakes
+from esair.resources import APPLIED, Resource, check_settings, operation_of, shown
 from esair.supervisors._resource_life import ResourceLife
 from esair.values import check_party, is_positive
 
@@ -163,7 +164,7 @@ class ControlPath:
         """Change settings of a resource; see `ResourceSupervisor.configure`."""
         await Budget.spend(VERB_COST)
         life = self._configurable(registration)
-        check_settings(life.resource, settings)
+        _checked(life.resource, settings)
         task = spawn(
             asyncio.get_running_loop(),
             self._configure(registration, settings),
@@ -231,7 +232,7 @@ class ControlPath:
         async with life.configuring:
             if self._configurable(registration) is not life:
                 raise DeviceLostError(registration.resource, "it was replaced")
-            changes = check_settings(life.resource, settings)
+            changes = _checked(life.resource, settings)
             await life.configure(changes)
             self.registrations.journal.publish(
                 Kind.CONFIGURED,
@@ -239,6 +240,14 @@ class ControlPath:
                 registration.behavior,
                 shown(life.resource, changes),
             )
+
+
+def _checked(resource: Resource, settings: dict[str, Any]) -> dict[str, object]:
+    """Return new settings; one for what every device has is such as its class may say."""
+    changes = check_settings(resource, settings)
+    for field, told in plain_mistakes(changes):
+        raise BadValueError(resource.name, field, told)
+    return changes
 
 
 def _check_terms(terms: Terms) -> None:
