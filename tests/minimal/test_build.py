@@ -432,6 +432,21 @@ def test_what_only_std_has_is_told_though_it_is_rarely_reached(tmp_path) -> None
     assert found == f"behavior.go: {told}"
 
 
+def test_types_of_std_in_annotations_are_not_used_on_boards(
+    micropython, tmp_path
+) -> None:
+    """A board leaves annotations out, so the program runs there."""
+    text = "import esair\n\n" + SIMPLE + "\n\ndef of(it: esair.Robot) -> esair.Access:"
+    text += "\n    last: esair.Robot = it\n    return last\n"
+    (tmp_path / "typed_parts.py").write_text(text)
+    path = simple(tmp_path, behavior_go="typed_parts:Go")
+    with mock.patch.dict(sys.modules):
+        firmware.build(path, tmp_path / "board")
+
+    printed = micropython.run(tmp_path / "board", TWO_STEPS)
+    assert printed.split() == "motor 0.0 motor 0.5 motor 0.5 motor 0.0".split()  # noqa: SIM905
+
+
 def test_infinity_of_the_file_goes_to_the_board(micropython, tmp_path) -> None:
     """A limit that is none is allowed in a robot.toml, and is no name there."""
     path = simple(tmp_path)

@@ -116,7 +116,10 @@ def run_on_boards(
     tree: ast.AST, asks: Collection[str] = ("ImportError", "AttributeError")
 ) -> Iterator[ast.AST]:
     """Yield all nodes but those for type checkers, and of a try that asks for an error."""
+    types = getattr(tree, "annotation", None), getattr(tree, "returns", None)
     for node in ast.iter_child_nodes(tree):
+        if node in types:
+            continue  # boards leave them out
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             yield from run_on_boards(ast.Module(node.orelse, []), asks)
         elif isinstance(node, ast.Try):

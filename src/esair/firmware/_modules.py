@@ -107,9 +107,8 @@ class Modules:
             elif self._path_of(f"esair.{each}") is not None:
                 self._need(f"esair.{each}", name, node.lineno, key)
             else:
-                self._misfit(
-                    key, f"module {name!r} uses esair.{each}, which only STD has"
-                )
+                told = f"module {name!r} uses esair.{each}, which only STD has"
+                self._misfit(key, told)
 
     def _need(self, target: str, name: str, line: int, key: str) -> None:
         top = target.partition(".")[0]
@@ -128,12 +127,8 @@ class Modules:
 
     def _is_ours(self, target: str) -> bool:
         """Tell whether a module is the user's, or one of esair's."""
-        top = target.partition(".")[0]
-        return (
-            top == "esair"
-            or (self._folder / f"{top}.py").is_file()
-            or (self._folder / top).is_dir()
-        )
+        top = self._folder / target.partition(".")[0]
+        return top.name == "esair" or top.is_dir() or top.with_suffix(".py").is_file()
 
     def _path_of(self, name: str) -> Path | None:
         beside = self._folder.joinpath(*name.split("."))
