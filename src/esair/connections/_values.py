@@ -104,7 +104,7 @@ def _is_number(value: Any) -> bool:
 def is_same(one: Any, other: Any) -> bool:
     """Tell whether two commands ask for the same."""
     same = equal(one, other)
-    if one is other or (_compares(one) and not same):
+    if one is other or type(one) in _REAL or (_compares(one) and not same):
         return same
     parts = _pairs(one, other)  # its class may compare some of them only
     return same if parts is None else all(is_same(*p) for p in parts.values())
