@@ -418,7 +418,6 @@ class BehaviorStep:
                 late.cancel()
             self._fence()
             self._sight.leave()
-            take_back(behavior, self, self.portal)
             if self.portal is not None:
                 self.portal.close()
 
@@ -426,6 +425,7 @@ class BehaviorStep:
         self.grants.is_over = True
         for registration in tuple(self.own):
             self._member.crew.resources.control.revoke(registration)
+        take_back(self.behavior, self, self.portal)  # it gets no others, either
 
     def resource_changed(self, resource: str) -> None:
         """Give its ports their rights to a resource again that has come back."""
