@@ -469,13 +469,14 @@ def line_of(error: BaseException) -> str:
     import os
     import traceback
 
-    ours = (os.path.dirname(__file__), os.path.dirname(os.__file__), "<")
+    ours = (os.path.dirname(__file__) + os.sep, os.path.dirname(os.__file__), "<")
     while isinstance(error, BehaviorFailedError) and error.__cause__:
         error = error.__cause__
     place = ""
     for frame, number in traceback.walk_tb(error.__traceback__):
         file, name = frame.f_code.co_filename, frame.f_code.co_name
-        if not file.startswith(ours):
+        is_own = "-packages" not in file  # else it counts where nothing else is
+        if (is_own or not place) and not file.startswith(ours):
             text = linecache.getline(file, number).strip()
             place = printable(f"{file}, line {number}, in {name}: {text}")
     return place

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import io
 import logging
+from typing import Any
 
 import attrs
 import pytest
@@ -114,6 +115,32 @@ async def test_a_mistake_in_a_driver_is_told_with_its_line(
         [f"  where: {__file__}"] if is_there else []
     )
     assert all(each.endswith(place) for each in told)
+
+
+OWN = "/robot/rover.py"
+PACKAGE = "/robot/.venv/lib/site-packages/esair_arm/arm.py"
+
+
+def file_told(*files: str) -> str:
+    """Return the file that is told of an error: it was raised in the first of these."""
+    names: dict[str, Any] = {}
+    for file in files:
+        body = "below()" if names else "raise ValueError('it')"
+        names = {"below": names.get("go")}
+        exec(compile(f"def go(): {body}", file, "exec"), names)
+    with pytest.raises(ValueError, match="it") as caught:
+        names["go"]()
+    trace = caught.value.__traceback__
+    assert trace is not None
+    told = line_of(caught.value.with_traceback(trace.tb_next))  # without this function
+    return told.partition(", line ")[0]
+
+
+def test_of_what_is_installed_a_line_is_told_if_nothing_else_was() -> None:
+    """As of a driver that is a package: who wrote a script is to mend that."""
+    assert file_told(PACKAGE) == PACKAGE
+    assert file_told(PACKAGE, OWN) == OWN
+    assert file_told(OWN, PACKAGE) == OWN
 
 
 @attrs.frozen
