@@ -199,7 +199,7 @@ async def test_it_is_given_no_right_when_its_time_is_long_over() -> None:
     assert commands[-1] == 0.0
 
 
-class Registers(esair.Behavior):
+class AsksAnew(esair.Behavior):
     """Heeds no cancellation, and asks for its right anew before each command."""
 
     async def run(self) -> None:
@@ -211,7 +211,7 @@ class Registers(esair.Behavior):
                 await asyncio.sleep(0.05)
 
 
-class Performs(esair.Behavior):
+class HasOthersMove(esair.Behavior):
     """Heeds no cancellation, and has others move."""
 
     wheels = esair.writes(float)
@@ -224,7 +224,7 @@ class Performs(esair.Behavior):
                 await asyncio.sleep(0.05)
 
 
-@pytest.mark.parametrize("cls", [Registers, Performs])
+@pytest.mark.parametrize("cls", [AsksAnew, HasOthersMove])
 async def test_it_gets_no_new_right_when_its_time_is_long_over(cls: Any) -> None:
     async def act(self: Captain) -> None:
         await self.perform(cls(), timeout=1.0)
