@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import threading
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -22,6 +24,7 @@ from esair.drivers.gpiozero import (  # noqa: E402
     READS,
     TELLS,
     Colour,
+    EchoSensor,
     GpiozeroActuator,
     GpiozeroSensor,
 )
@@ -153,6 +156,23 @@ async def test_what_comes_close_is_told_soon(factory) -> None:
         trigger.echo_time = 0.0006
         await asyncio.sleep(0.6)
         assert (await robot.sensors.read(right, fresh=True)).value < 0.2
+
+
+def test_its_trigger_is_not_taken_from_its_thread(factory, monkeypatch) -> None:
+    """The class closes it first, and the thread ends by a traceback."""
+    factory.pin_class = MockPin
+    factory.pin(6, pin_class=MockTriggerPin, echo_pin=factory.pin(5), echo_time=0.002)
+    triggered = threading.Event()
+
+    def sleep(seconds: float) -> None:
+        triggered.set()
+        time.sleep(0.05)
+
+    monkeypatch.setattr("gpiozero.input_devices.sleep", sleep)
+    sonar = EchoSensor(5, 6)
+    assert triggered.wait(3.0)
+    sonar.close()
+    assert sonar.closed
 
 
 @pytest.mark.fault("D15")

@@ -21,6 +21,7 @@ Source: gpiozero 2.0, API of input, output, SPI, internal devices and boards.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import functools
 import math
@@ -136,6 +137,12 @@ class EchoSensor(gpiozero.DistanceSensor):  # type: ignore[misc]  # it is not ty
         if found is not None:
             self._heard = time.monotonic()
         return found
+
+    def close(self) -> None:
+        """End its thread before its trigger, which that may be using."""
+        with contextlib.suppress(AttributeError, RuntimeError):  # it may not have begun
+            self._queue.stop()
+        super().close()
 
     @property
     def distance(self) -> Any:
