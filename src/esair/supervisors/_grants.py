@@ -40,7 +40,6 @@ from esair.exceptions import (
     AccessDeniedError,
     BadValueError,
     EsairError,
-    NotRegisteredError,
     describe,
 )
 from esair.loop import Deadline, Deadlines, Owner, Portal, fail, raisable, wake
@@ -213,7 +212,7 @@ class Grants:
             with no higher priority than that.
     """
 
-    __slots__ = ("_crew", "_name", "_ports", "_under", "is_over", "registrations")
+    __slots__ = ("_crew", "_name", "_ports", "_under", "registrations")
 
     def __init__(
         self,
@@ -222,8 +221,6 @@ class Grants:
         under: Mapping[str, Need] | None = None,
     ) -> None:
         self._name = name
-        self.is_over = False
-        """No more is granted: who has them has gone on for too long."""
         self._under = under
         self._crew = crew
         self._ports: Mapping[str, Port] = _NO_PORTS
@@ -243,8 +240,6 @@ class Grants:
         Never one of another member with the same name, which is about to give its
         place to this one and takes its registrations along.
         """
-        if self.is_over:
-            raise NotRegisteredError(self._name, resource, "its time limit is over")
         if self._under is not None:
             own = [n.priority for n in self._under.values() if n.resource == resource]
             priority = min(priority, max(own, default=0))
@@ -387,7 +382,7 @@ class BehaviorStep:
         self.mail = member.mail
         self.grants = Grants(member.name, member.crew, member.action.needs)
         self.own = self.grants.registrations
-
+        self._is_over = False
         self.runner = None
         self.detail = f"performs {behavior.name}"
         self._sight = _sight_of_step(behavior, member)
@@ -422,14 +417,15 @@ class BehaviorStep:
                 self.portal.close()
 
     def _fence(self) -> None:
-        self.grants.is_over = True
+        self._is_over = True
         for registration in tuple(self.own):
             self._member.crew.resources.control.revoke(registration)
         take_back(self.behavior, self, self.portal)  # it gets no others, either
 
     def resource_changed(self, resource: str) -> None:
         """Give its ports their rights to a resource again that has come back."""
-        self.grants.revive(self.behavior.needs, resource)
+        if not self._is_over:
+            self.grants.revive(self.behavior.needs, resource)
 
 
 class Step:
