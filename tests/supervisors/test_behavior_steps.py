@@ -174,7 +174,7 @@ async def test_it_moves_nothing_when_its_time_is_long_over() -> None:
 
 
 async def test_it_is_given_no_right_when_its_time_is_long_over() -> None:
-    """One that registers anew, or whose device comes back, moves nothing either."""
+    """One that registers anew moves nothing either."""
 
     class Stubborn(esair.Behavior):
         wheels = esair.writes(float)
@@ -197,6 +197,36 @@ async def test_it_is_given_no_right_when_its_time_is_long_over() -> None:
     assert isinstance(outcome, esair.NotRegisteredError)
     assert 0.7 not in commands
     assert commands[-1] == 0.0
+
+
+async def test_it_has_no_right_to_a_device_that_is_back_when_its_time_is_over() -> None:
+    """Its ports had theirs again as if it were in time."""
+
+    class Insists(esair.Behavior):
+        wheels = esair.writes(float)
+
+        async def run(self) -> None:
+            port: Any = self.wheels
+            while True:
+                with contextlib.suppress(asyncio.CancelledError, esair.EsairError):
+                    await port.write(0.5)
+                with contextlib.suppress(asyncio.CancelledError):
+                    await asyncio.sleep(0.05)
+
+    async def act(self: Captain) -> None:
+        await self.perform(Insists(), timeout=1.0)
+
+    first, second = (FakeActuator("wheels", safe=0.0) for _ in range(2))
+    async with esair.Robot(
+        resources=[first], behaviors=[Captain(act)], grace=0.5
+    ) as robot:
+        await asyncio.sleep(1.2)
+        assert 0.5 in first.commands
+        await robot.resources.remove("wheels")
+        await asyncio.sleep(0.8)
+        await robot.resources.add(second)
+        await asyncio.sleep(1.0)
+        assert set(second.commands) == {0.0}
 
 
 class AsksAnew(esair.Behavior):
