@@ -283,3 +283,31 @@ class Complains(esair.Behavior):
 
     async def run(self) -> None:
         raise ValueError("x" * 3_000_000)
+
+
+class Goes(esair.Behavior):
+    """Writes for ever, whatever it is told; what it performs first does the same."""
+
+    wheels = esair.writes(float)
+
+    def __init__(self, below: int = 0) -> None:
+        super().__init__()
+        self.below = below
+
+    async def run(self) -> None:
+        for _ in range(30):
+            with contextlib.suppress(asyncio.CancelledError, esair.EsairError):
+                if self.below:
+                    await self.perform(Goes(self.below - 1), timeout=None)
+                await self.wheels.write(1.0)
+            with contextlib.suppress(asyncio.CancelledError):
+                await asyncio.sleep(0.1)
+
+
+class Limits(esair.Behavior):
+    """Performs one that goes on after its time is over, and performs others."""
+
+    wheels = esair.writes(float)
+
+    async def run(self) -> None:
+        await self.perform(Goes(below=2), timeout=0.3)

@@ -22,6 +22,7 @@ from tests.placement.pitfalls import (
     Drive,
     Eyes,
     Falls,
+    Limits,
     Looks,
     Murmurs,
     Notes,
@@ -405,3 +406,21 @@ async def test_an_error_in_the_log_has_its_traceback(
     assert said[:2] == ["notes: it turns:", "notes: to the left"]
     assert any("pitfalls.py" in each for each in said)
     assert said[-1] == "notes: ValueError: a stone"
+
+
+@pytest.mark.promise("BEH-3", "PLC-1")
+@pytest.mark.parametrize("place", IN_PROCESS)
+async def test_a_step_whose_time_is_over_moves_nothing_by_steps_of_its_own(
+    place: str,
+) -> None:
+    """Neither by those that it performs then, nor by those of theirs, old and new."""
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0)
+    limits = placed(Limits(), place)
+    robot = esair.Robot(resources=[wheels], behaviors=[limits], grace=0.2)
+    async with robot:
+        await asyncio.sleep(1.0)
+        moved = wheels.commands.count(1.0)
+        assert moved
+        await asyncio.sleep(9.0)
+        assert wheels.commands.count(1.0) == moved
+        assert robot.behaviors.query("limits").restarts == 0

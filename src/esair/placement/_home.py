@@ -97,7 +97,7 @@ class Host:
         child = self._child
         ends = None if until is None else by_name(until, reaction)
         asked = child.recipe(reaction), ends is not None, timeout, blind_timeout
-        outcome = child.call("perform", *asked)
+        outcome = child.call("perform", *asked, step=self._step)
         step = Reacting(child, reaction, ends, str(child.newest))
         child.reacting[child.newest] = step
         try:
@@ -114,7 +114,7 @@ class Host:
         portal = None
         if not inspect.iscoroutinefunction(behavior.run):
             portal = Portal(child.name, child.owner)
-        over = child.call("step", child.recipe(behavior), timeout)
+        over = child.call("step", child.recipe(behavior), timeout, step=self._step)
         number, granted = child.newest, child.loop.create_future()
         child.told_of(number, granted.set_result)
         try:

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 from esair import minimal
 from esair.actions import Behavior, Reaction, adapt_action
 from esair.connections import run_ended
-from esair.exceptions import AccessDeniedError, ConfigError
+from esair.exceptions import AccessDeniedError, ConfigError, NotRegisteredError
 from esair.loop import clock_of, current_task_of, ignore, settle, wake
 from esair.messages import Access, Refused
 from esair.placement._wire import ASKED, AWAITED, CALLED, End, Op, make
@@ -254,7 +254,7 @@ class BehaviorVerbs(PortVerbs):
     async def _register(
         self, _: Asked, step: str, resource: str, access: Access, **terms: Any
     ) -> str:
-        behavior: Any = self._actions[step]
+        behavior = self._performer(step)
         port = await Behavior.register(behavior, resource, access, **terms)
         # The same again is the same port: some register for each job.
         key = f"{step}:registered {resource} {access!r} {terms}"
@@ -263,6 +263,12 @@ class BehaviorVerbs(PortVerbs):
 
     # Steps: their code runs in the child, their rights and their blindness are here.
 
+    def _performer(self, step: str) -> Any:
+        """Return the behavior, or the step of it, that asks for something."""
+        if step not in self._actions:
+            raise NotRegisteredError(self._action.name, "robot", "this step is over")
+        return self._actions[step]
+
     async def _perform(
         self,
         asked: Asked,
@@ -270,6 +276,7 @@ class BehaviorVerbs(PortVerbs):
         ends: bool,
         timeout: float | None,
         blind_timeout: float | None,
+        step: str = "",
     ) -> bool:
         limits = {"timeout": timeout, "blind_timeout": blind_timeout}
         for field, seconds in limits.items():
@@ -282,13 +289,13 @@ class BehaviorVerbs(PortVerbs):
         seat = StepSeat(self._seat, asked.number)
         until = seat.is_over if ends else None
         with self._performed(asked, reaction):
-            host = vars(self._behavior)["_host"]
+            host = self._performer(step)._host  # noqa: SLF001 - what it speaks to
             return await host.perform(reaction, until, **limits, seat=seat)  # type: ignore[no-any-return]
 
     async def _step(
-        self, asked: Asked, recipe: object, timeout: float | None = None
+        self, asked: Asked, recipe: object, timeout: float | None = None, step: str = ""
     ) -> None:
-        behavior, host = loaded(recipe), vars(self._behavior)["_host"]
+        behavior, host = loaded(recipe), self._performer(step)._host  # noqa: SLF001
         if not isinstance(behavior, Behavior):
             raise ConfigError(behavior.name, "", "expected a Behavior")
         if timeout is not None:

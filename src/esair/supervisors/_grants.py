@@ -6,6 +6,7 @@ import asyncio
 import inspect
 import logging
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from esair.actions import (
@@ -376,6 +377,8 @@ class BehaviorStep:
     registrations in that name, which end with it.
     """
 
+    under: BehaviorStep | None  # the step that performs it, if it is not its member
+
     def __init__(self, behavior: Behavior, member: Member) -> None:
         self.behavior, self._member = behavior, member
         self.needs = tuple(behavior.needs.values())
@@ -389,8 +392,9 @@ class BehaviorStep:
         self.portal: Portal | None = None
         if not inspect.iscoroutinefunction(behavior.run):
             self.portal = Portal(member.name, member.mail.owner)
-        self.query, self.manage = member.query, member.manage
-        self.perform, self.perform_behavior = member.perform, member.perform_behavior
+        self.crew, self.query, self.manage = member.crew, member.query, member.manage
+        self.perform = partial(member.perform, under=self)
+        self.perform_behavior = partial(member.perform_behavior, under=self)
         self.halt_robot, self.stop_robot = member.halt_robot, member.stop_robot
 
     async def register(self, terms: PortTerms) -> SensorPort[Any] | ActuatorPort[Any]:
@@ -402,7 +406,7 @@ class BehaviorStep:
         late: Deadline | None = None
         if timeout is not None:  # whatever it does then, it moves nothing
             deadlines = Deadlines.of(asyncio.get_running_loop())
-            late = deadlines.after(timeout + member.crew.grace, self._fence)
+            late = deadlines.after(timeout + member.crew.grace, self.end)
         self._sight.accept()
         try:
             fill(behavior, self, self.grants, self.portal)
@@ -411,13 +415,17 @@ class BehaviorStep:
         finally:
             if late is not None:
                 late.cancel()
-            self._fence()
+            self.end()
             self._sight.leave()
             if self.portal is not None:
                 self.portal.close()
 
-    def _fence(self) -> None:
+    def end(self, _: bool = False) -> None:
+        """Let it move nothing any more, nor what it performs, whatever they do."""
         self._is_over = True
+        for step in self._member.steps:
+            if step.under is self:
+                step.end(False)
         for registration in tuple(self.own):
             self._member.crew.resources.control.revoke(registration)
         take_back(self.behavior, self, self.portal)  # it gets no others, either
@@ -432,6 +440,7 @@ class Step:
     """A reaction that is performed now: what runs it, and whether it sees."""
 
     portal = None
+    under: BehaviorStep | None  # as that of a behavior
 
     def __init__(
         self,

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import inspect
 import logging
-from collections.abc import Awaitable, Callable, Collection, Iterator
+from collections.abc import Awaitable, Callable, Collection
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -172,31 +171,39 @@ class Member:
         timeout: float | None,
         blind_timeout: float | None,
         seat: StepSeat | None = None,
+        under: BehaviorStep | None = None,
     ) -> bool:
         """Run a reaction until its condition comes true or its time is over."""
         self._check_step(reaction)
         step = Step(reaction, self, until, blind_timeout, seat)
-        with self._performing(step):
-            return await step.run(timeout)
+        return bool(await self._perform(step, timeout, under))
 
-    async def perform_behavior(self, behavior: Behavior, timeout: float | None) -> Any:
+    async def perform_behavior(
+        self,
+        behavior: Behavior,
+        timeout: float | None,
+        under: BehaviorStep | None = None,
+    ) -> Any:
         """Run a behavior to its end, in the task of its performer."""
         self._check_step(behavior)
-        step = BehaviorStep(behavior, self)
-        with self._performing(step):
-            return await step.run(timeout)
+        return await self._perform(BehaviorStep(behavior, self), timeout, under)
 
     def _check_step(self, action: Behavior | Reaction) -> None:
         self.mail.check_speaker()
         found = examine_step(self.crew.resources.plan, action, performer=self.name)
         refuse(found, f"what {self.name} performs is described wrongly")
 
-    @contextlib.contextmanager
-    def _performing(self, step: Step | BehaviorStep) -> Iterator[None]:
+    async def _perform(
+        self,
+        step: Step | BehaviorStep,
+        timeout: float | None,
+        under: BehaviorStep | None,
+    ) -> Any:
+        step.under = under
         self.crew.performing[self] = None
         self.steps = (*self.steps, step)
         try:
-            yield
+            return await step.run(timeout)
         finally:
             self.steps = tuple(each for each in self.steps if each is not step)
             if not self.steps:
@@ -444,10 +451,7 @@ class Member:
         self.try_to_start()
 
     def uses(self) -> list[Registration]:
-        found = list(self.grants.registrations)
-        for step in self.steps:
-            found += step.own
-        return found
+        return sum((step.own for step in self.steps), [*self.grants.registrations])
 
     def fence(self, reason: Callable[[], EsairError] | None = None) -> None:
         """Revoke all its registrations in one step; what it moved is made safe."""
@@ -461,11 +465,9 @@ class Member:
                 ended = partial(run_ended, self.name, registration.resource)
                 self.crew.resources.control.revoke(registration, reason or ended)
         self.grants.registrations.clear()
-        if self.portal is not None:
-            self.portal.close()
-        for step in self.steps:
-            if step.portal is not None:
-                step.portal.close()
+        for portal in (self.portal, *(step.portal for step in self.steps)):
+            if portal is not None:
+                portal.close()
 
     def stop(self) -> None:
         """Cut it off, whatever it does; its tasks are the caller's to end."""
