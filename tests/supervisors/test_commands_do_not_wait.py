@@ -424,3 +424,20 @@ async def test_a_device_that_is_slow_to_close_keeps_no_command_waiting(
             await robot.resources.restart("other")
         assert not going.done()
         await going
+
+
+@pytest.mark.promise("SUP-3")
+async def test_a_restart_of_what_is_removed_meanwhile_says_so() -> None:
+    """It waits for the old run, and there is nobody who could begin another."""
+    async with esair.Robot(
+        resources=[FakeActuator("wheels", safe=0.0)],
+        behaviors=[Swallows()],
+        grace=GRACE,
+    ) as robot:
+        await asyncio.sleep(0.01)
+        restart = asyncio.create_task(robot.behaviors.restart("swallows"))
+        await asyncio.sleep(GRACE / 2)
+        await robot.behaviors.remove("swallows")
+        with pytest.raises(esair.BehaviorRemovedError):
+            await restart
+        await asyncio.sleep(10.0)  # the zombie ends

@@ -15,6 +15,7 @@ from tests.patience import within
 
 import esair
 from esair import ResourceState
+from esair.loop import COMMAND, OPENING, SAFE, urgency
 from esair.testing import FakeActuator
 
 pytestmark = pytest.mark.virtual_clock
@@ -1138,3 +1139,46 @@ async def test_a_fault_that_the_device_itself_shows_is_not_waited_for() -> None:
     async with esair.Robot(resources=[Sonar()]) as robot:
         await asyncio.sleep(300.0)
         assert robot.resources.query("sonar").state is ResourceState.FAILED
+
+
+@pytest.mark.promise("BUS-5")
+async def test_only_the_opening_of_an_actuator_goes_first_on_its_bus() -> None:
+    """As its safe command does; a sensor's waits in line, as its reading does."""
+    levels: dict[str, int] = {}
+
+    def note(device: esair.Resource, doing: str) -> None:
+        levels[f"{device.name} {doing}"] = urgency.get().level
+
+    class Sonar(esair.Sensor[float]):
+        async def open(self) -> None:
+            note(self, "open")
+
+        async def read(self) -> float:
+            note(self, "read")
+            return 1.0
+
+    class Wheels(esair.Actuator[float]):
+        safe = 0.0
+
+        async def open(self) -> None:
+            note(self, "open")
+
+        async def write(self, command: float) -> None:
+            note(self, f"write {command:g}")
+
+    class Drive(esair.Behavior):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float)
+
+        async def run(self) -> None:
+            await self.wheels.write(await self.sonar.read())
+
+    async with esair.Robot(resources=[Sonar(), Wheels()], behaviors=[Drive()]):
+        await asyncio.sleep(0.1)
+    assert levels == {
+        "sonar open": 0,
+        "sonar read": 0,
+        "wheels open": COMMAND + OPENING,
+        "wheels write 1": COMMAND,
+        "wheels write 0": COMMAND + SAFE,
+    }

@@ -509,3 +509,27 @@ async def test_a_restart_is_told_with_what_it_is_for() -> None:
         ("RESTARTED", "always"),
         ("CRASHED", "always"),
     ]
+
+
+@pytest.mark.promise("PRO-1", "PRO-2")
+async def test_who_is_restarted_keeps_still_what_it_protects() -> None:
+    """From the end of its run until the next one runs, as after a crash."""
+
+    class Watch(esair.Behavior):
+        wheels = esair.writes(float, priority=5, blind="safe")
+
+        async def setup(self) -> None:
+            await asyncio.sleep(0.5)
+
+    policy = esair.Policy("wheels", allow={"*": esair.Access.WRITE})
+    device = wheels()
+    robot = esair.Robot(
+        resources=[device], behaviors=[Watch(), Driver()], policies=[policy]
+    )
+    async with robot:
+        await asyncio.sleep(1.0)
+        device.commands.clear()
+        await robot.behaviors.restart("watch")
+        assert 1.0 not in device.commands
+        await asyncio.sleep(0.2)
+        assert device.commands[-1] == 1.0
