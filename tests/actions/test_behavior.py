@@ -688,3 +688,53 @@ async def test_methods_that_cannot_be_called_are_mistakes() -> None:
 
     begins = [str(error).split(": expected")[0] for error in caught.value.exceptions]
     assert begins == ["asks: run", "yields: provide", "empty: setup", "reacts: react"]
+
+
+class Decorated(esair.Behavior):
+    """Its methods are async, and one of them is called by a plain function."""
+
+    restart = esair.Restart(max=0)
+
+    def __init__(self, hidden: str, **options: Any) -> None:
+        super().__init__(**options)
+        method = getattr(self, hidden)
+        vars(self)[hidden] = lambda: method()
+
+    async def setup(self) -> None:
+        """Prepare nothing."""
+
+    async def run(self) -> None:
+        await asyncio.sleep(1.0)
+
+    async def teardown(self) -> None:
+        """Clean nothing up."""
+
+    async def provide(self) -> int:
+        return 1
+
+
+async def use(robot: esair.Robot, method: str) -> None:
+    """Have a method of the decorated one called by whoever calls it."""
+    idle = robot.behaviors.action("idle")
+    assert isinstance(idle, Idle)
+    if method == "provide":
+        await idle.get("decorated")
+    elif method == "step":
+        await idle.perform(Decorated("run"))
+    else:
+        await asyncio.sleep(1.1)
+        failed = robot.behaviors.query("decorated").error
+        assert failed is not None
+        raise failed
+
+
+@pytest.mark.promise("BEH-2")
+@pytest.mark.parametrize("method", ["setup", "run", "teardown", "provide", "step"])
+async def test_a_decorator_that_hides_async_is_told(method: str) -> None:
+    """What it decorates seemed to be done at once, and nothing of it had run."""
+    hidden = "teardown" if method == "step" else method
+    behaviors = [Decorated(hidden, name="decorated"), Idle()]
+    async with esair.Robot(behaviors=behaviors) as robot:
+        with pytest.raises((esair.ConfigError, esair.BehaviorFailedError)) as caught:
+            await use(robot, method)
+    assert "its result is a coroutine" in str(caught.value)

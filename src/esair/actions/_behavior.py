@@ -754,12 +754,10 @@ async def run_as_step(
     async def call(method: Callable[[], Any]) -> Any:
         if inspect.iscoroutinefunction(method):
             return await method()
-        found: list[Any] = [None]
         way = portal
         if way is None or way.closed:
             way = Portal(performer, owner)
-        await way.run(lambda: found.append(method()))
-        return found[-1]
+        return await way.run(method)
 
     try:
         async with asyncio.timeout(timeout) as limit:

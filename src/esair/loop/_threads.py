@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import contextvars
+import inspect
 import math
 import queue
 import threading
@@ -22,6 +23,7 @@ import attrs
 from esair.exceptions import (
     BehaviorRemovedError,
     BusyError,
+    ConfigError,
     DriverStuckError,
     NoTurnError,
 )
@@ -508,33 +510,40 @@ class Portal:
         self._calls: set[asyncio.Task[Any]] = set()
         self._home = threading.current_thread()
 
-    async def run(self, function: Callable[[], object]) -> None:
-        """Run a function in a new daemon thread and wait for its end.
+    async def run(self, function: Callable[..., Any], *args: Any) -> Any:
+        """Run a function in a new daemon thread, wait for its end, and return its result.
 
         If the waiting task is cancelled the portal is closed and the end is
         awaited; cancel again not to wait for it.
         """
         loop = self.loop
         owner = self._owner
-        ended: asyncio.Future[None] = loop.create_future()
+        ended: asyncio.Future[Any] = loop.create_future()
 
-        def finished(error: BaseException | None) -> None:
+        def finished(result: Any, error: BaseException | None) -> None:
             owner.threads = tuple(t for t in owner.threads if t is not thread)
             failed = None if error is None else raisable(error, "the behavior")
-            settle(ended, None, failed)
+            settle(ended, result, failed)
 
         go: concurrent.futures.Future[int] = concurrent.futures.Future()
 
         def work() -> None:
+            result: Any = None
             error: BaseException | None = None
             portal.set(self)
             _given.number = go.result()
             try:
-                function()
+                result = function(*args)
+                if inspect.iscoroutine(result):
+                    result.close()
+                    told = (
+                        "its result is a coroutine: make what decorates it async, too"
+                    )
+                    raise ConfigError(self.name, result.__name__, told)
             except BaseException as raised:  # contained, as in a task
                 error = raised
             try:
-                self._door.post(_given.number, self._tag, finished, error)
+                self._door.post(_given.number, self._tag, finished, result, error)
             except RuntimeError:  # the loop is closed: nobody waits any more
                 return
 
@@ -546,7 +555,7 @@ class Portal:
         self._door.give_out(go.set_result, thread)
         owner.threads = (*owner.threads, thread)
         try:
-            await asyncio.shield(ended)
+            return await asyncio.shield(ended)
         except asyncio.CancelledError:
             self.close()
             try:

@@ -356,13 +356,7 @@ class Child(Exchange):
         portal = self.portal
         if portal is None or verb not in {"setup", "run", "teardown"}:
             portal = Portal(f"{self.name}_{verb}", self.owner)
-
-        async def run(*args: Any) -> Any:
-            result: list[Any] = []
-            await portal.run(lambda: result.append(function(*args)))
-            return result[0]
-
-        return run
+        return functools.partial(portal.run, function)
 
     # The component.
 

@@ -414,10 +414,8 @@ async def do_for(request: Request, member: Mailbox, method: str) -> Done:
         function = getattr(member.action, method)
         if inspect.iscoroutinefunction(function):
             return await function(*request.handed), None
-        result: list[Any] = []
         portal = Portal(f"{member.name}_{method}", member.owner)
-        await portal.run(lambda: result.append(function(*request.handed)))
-        return result[0], None
+        return await portal.run(function, *request.handed), None
     except BaseException as error:  # contained: it is the other's code
         return None, error
 
