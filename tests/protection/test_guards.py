@@ -802,3 +802,30 @@ async def test_what_is_refused_leaves_nothing_moving() -> None:
         assert refused.holder == "small"
         assert told[-1] == 0.0
         assert robot.resources.why("wheels").holder == "user"
+
+
+@pytest.mark.promise("PRO-7")
+@pytest.mark.parametrize("stays", [False, True], ids=["zero", "stay"])
+async def test_a_guard_that_says_hold_refuses_and_goes_on(stays: bool) -> None:
+    """It is no command of its own that could be too much, whatever safe is."""
+
+    class Stay(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.guards(float)
+
+        def react(self, sonar: float, wheels: float) -> Any:
+            return esair.HOLD if sonar < 1.0 else wheels
+
+    sonar, asks = ranges(0.5), user()
+    wheels = FakeActuator[float]("wheels", safe=0.0)
+    if stays:
+        wheels.safe = esair.HOLD
+    robot = esair.Robot(resources=[sonar, wheels], behaviors=[Stay(), asks])
+    async with robot:
+        await asyncio.sleep(PERIOD)
+        refused = await asks.wheels.write(1.0)
+        assert refused.rule == "stay guards wheels"
+        sonar.feed(2.0)
+        await asyncio.sleep(2 * PERIOD)
+        assert await asks.wheels.write(1.0) == esair.Written(1.0, 1.0, None)
+        assert robot.behaviors.query("stay").restarts == 0

@@ -296,6 +296,34 @@ async def test_who_is_just_removed_is_not_set_up_for_a_mode() -> None:
 
 
 @pytest.mark.promise("MODE-2")
+@pytest.mark.parametrize("ends", [0.0, 0.5], ids=["gone", "going"])
+async def test_a_switch_whose_behavior_is_removed_leaves_the_old_mode(
+    ends: float,
+) -> None:
+    """It was set up, and waited for another one that enters."""
+
+    class Near(Mover):
+        async def teardown(self) -> None:
+            await asyncio.sleep(ends)
+
+    near, dock = Near("near", 2.5), Mover("dock", 2.0, sets_up=0.3)
+    modes = {**TWO, "dock": ["near", "dock"]}
+    policy = esair.Policy("wheels", allow={"*": esair.Access.WRITE})
+    robot, wheels = make(
+        Mover("wander", 1.0), near, dock, modes=modes, policies=[policy]
+    )
+    async with robot:
+        switch = asyncio.create_task(robot.behaviors.switch("dock"))
+        await asyncio.sleep(0.1)
+        await robot.behaviors.remove("near")
+        with pytest.raises(esair.BehaviorRemovedError, match="near"):
+            await switch
+        assert robot.behaviors.mode == "explore"
+        await asyncio.sleep(0.5)
+        assert set(wheels.commands) == {0.0, 1.0}
+
+
+@pytest.mark.promise("MODE-2")
 @pytest.mark.parametrize("verb", ["switch", "restart", "remove"])
 async def test_a_setup_that_swallows_its_end_is_not_followed_by_a_run(
     verb: str,

@@ -201,7 +201,7 @@ class Turns:
             finally:
                 self._check_newest(number, mode)
             for member in entering:
-                if crew.members.get(member.name) is not member or member.given_up:
+                if member.given_up:
                     raise BehaviorRemovedError(member.name)
         except BaseException:
             left = self._still(entering)
