@@ -158,3 +158,29 @@ async def test_who_gives_back_later_leaves_it_to_who_is_blind() -> None:
     async with esair.Robot(resources=[sonar, motor], behaviors=[*steps, Blind()]):
         await motor.until(2.0, timeout=2.0)
         await motor.until(0.0, timeout=1.5)
+
+
+class Slow(esair.Actuator[float]):
+    """Takes longer for a command than a hold lasts."""
+
+    safe = 0.0
+    command_timeout = 0.2
+    told: list[float]
+
+    async def open(self) -> None:
+        self.told = []
+
+    async def write(self, command: float) -> None:
+        self.told.append(command)
+        if command:
+            await asyncio.sleep(0.5)
+
+
+@pytest.mark.promise("TURN-2", "AC-2")
+async def test_who_waits_for_its_own_write_wins_all_the_same() -> None:
+    """Its hold is over while the device is slow: a lower one gets nothing through."""
+    motor, sensor = Slow(name="motor"), FakeSensor("sensor", 1.0)
+    reactions = [Says("high", 5, {1.0: 2.0}), Says("low", 1, {1.0: 1.0})]
+    async with esair.Robot(resources=[sensor, motor], behaviors=reactions):
+        await asyncio.sleep(2.0)
+    assert set(motor.told) == {0.0, 2.0}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import statistics
 import time
 from typing import Any
@@ -214,3 +215,77 @@ async def test_the_same_in_real_time(kind: Any) -> None:
     reaction = await ages(kind("sensor", RATE, 0.002), 2.0)
 
     assert statistics.quantiles(reaction.ages, n=4)[0] < 0.1 / RATE
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("TURN-3")
+async def test_a_sensor_that_takes_just_half_a_period_is_waited_for() -> None:
+    """Each step decides on the answer of its own instant."""
+    sensor = Asked("sensor", 16.0, 1 / 32)
+    reaction = Ages()
+    reaction.rate = 16.0
+    robot = esair.Robot(
+        resources=[sensor, FakeActuator("motor", safe=0.0)], behaviors=[reaction]
+    )
+    async with robot:
+        await asyncio.sleep(5.0)
+
+    assert statistics.median(reaction.ages) < 1e-6
+
+
+class Beside(esair.Reaction):
+    """Has another sensor asked at each instant."""
+
+    rate = RATE
+    other = esair.reads(float)
+
+    def react(self, other: float) -> None:
+        """Move nothing."""
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("TURN-3")
+@pytest.mark.parametrize(("rate", "takes"), [(5.0, 0.002), (16.0, 0.02)])
+async def test_who_is_not_asked_at_the_instant_of_a_step_is_not_waited_for(
+    rate: float, takes: float
+) -> None:
+    """Neither one whose poll is not due, nor one whose earlier poll is on its way."""
+    reaction, other = Ages(), Asked("other", RATE, 0.002)
+    sensors = [Asked("sensor", rate, takes), other]
+    motor = FakeActuator("motor", safe=0.0)
+    async with esair.Robot(resources=[*sensors, motor], behaviors=[reaction, Beside()]):
+        await asyncio.sleep(5.0)
+
+    own = [moment * RATE % 1 for moment in reaction.moments]
+    late = [each for each in own if 1e-6 < each < 1 - 1e-6]
+    asked_together = 5.0 * math.gcd(int(RATE), int(rate))
+    assert len(reaction.moments) >= 99
+    assert len(late) <= asked_together + 1
+
+
+class Rival(esair.Reaction):
+    """Moves the same by a sensor that takes its time."""
+
+    rate = RATE
+    slower = esair.reads(float)
+
+    def react(self, slower: float) -> None:
+        """Have no opinion now."""
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("TURN-2", "TURN-3")
+@pytest.mark.parametrize(("priority", "after"), [(1, 0.01), (0, 0.01), (-1, 0.0)])
+async def test_who_has_as_much_to_say_is_waited_for(
+    priority: int, after: float
+) -> None:
+    """Both decide on what there is to see at one moment; one with less is not."""
+    reaction, motor = Ages(), FakeActuator("motor", safe=0.0)
+    rival = Rival(writes={"motor": esair.writes(float, priority=priority)})
+    sensors = [Asked("sensor", RATE, 0.0), Asked("slower", RATE, 0.01)]
+    async with esair.Robot(resources=[*sensors, motor], behaviors=[reaction, rival]):
+        await asyncio.sleep(3.0)
+
+    waited = [moment * RATE % 1 / RATE for moment in reaction.moments[5:]]
+    assert len(waited) >= 50
+    assert [round(each, 6) % 0.05 for each in waited] == [after] * len(waited)
