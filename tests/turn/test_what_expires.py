@@ -82,3 +82,28 @@ async def test_a_step_comes_before_the_dead_man_of_the_same_moment(
     backwards = await drive(fake_sensor, fake_actuator, backwards=True)
     assert forwards == backwards
     assert sum(each[0] is Kind.SENT for each in forwards) >= 15
+
+
+class Receives(esair.Behavior):
+    """Is handed something at the moment until which it waits for that."""
+
+    restart = esair.Restart(max=0)
+    had: Any = None
+
+    async def hand(self) -> None:
+        await asyncio.sleep(1.0)
+        await self.put("receives", "in time")
+
+    async def run(self) -> None:
+        handing = asyncio.create_task(self.hand())
+        self.had = await self.receive(timeout=1.0)
+        await handing
+
+
+@pytest.mark.promise("TURN-7", "BS-9")
+async def test_what_is_put_at_the_last_moment_is_received() -> None:
+    """The limit of a receive is over after all that happens at its moment."""
+    receives = Receives()
+    async with esair.Robot(behaviors=[receives]):
+        await asyncio.sleep(2.0)
+    assert receives.had == "in time"

@@ -33,7 +33,16 @@ from esair.exceptions import (
     describe,
 )
 from esair.journal import Kind
-from esair.loop import Deadline, Portal, current_task_of, portal, spawn, wake, wake_one
+from esair.loop import (
+    Deadline,
+    Deadlines,
+    Portal,
+    current_task_of,
+    portal,
+    spawn,
+    wake,
+    wake_one,
+)
 from esair.messages import BehaviorState
 from esair.values import fits, type_name
 
@@ -656,16 +665,16 @@ async def wait_among(
     loop = asyncio.get_running_loop()
     taker = loop.create_future()
     takers.append(taker)
-    timer = None if deadline is None else loop.call_at(deadline, wake, taker)
     try:
-        await taker
+        if deadline is None:
+            await taker
+        else:
+            await Deadlines.of(loop).pulse(taker, deadline - loop.time())
     except asyncio.CancelledError:
         if not taker.cancelled():
             wake_one(takers)  # it was woken in the same tick: wake the next one
         raise
     finally:
-        if timer is not None:
-            timer.cancel()
         takers.remove(taker)
 
 
