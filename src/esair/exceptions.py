@@ -479,7 +479,7 @@ def line_of(error: BaseException) -> str:
         if (is_own or not place) and not file.startswith(ours):
             text = linecache.getline(file, number).strip()
             place = printable(f"{file}, line {number}, in {name}: {text}")
-    return place
+    return vars(error).get("_line") or place  # it has come from another process
 
 
 def wants_traceback() -> bool:

@@ -435,6 +435,21 @@ class Opens(Values):
         return "unplugged"
 
 
+class Falls(esair.Behavior):
+    """Takes an error by its name, and fails of it."""
+
+    restart = esair.Restart(max=0)
+
+    async def run(self) -> None:
+        raise ERRORS[await self.receive()]
+
+
+ERRORS: Final = {
+    "value": ValueError("no such place"),
+    "bad": esair.BadValueError("falls", "place", "there is none"),
+    "exit": SystemExit(3),
+    "break": KeyboardInterrupt(),
+}
 LEAVES: Final = {"exit": SystemExit(3), "cancel": asyncio.CancelledError()}
 
 

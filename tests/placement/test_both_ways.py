@@ -9,11 +9,13 @@ from typing import Any
 
 import pytest
 from tests.placement.actors import (
+    ERRORS,
     LEAVES,
     Acts,
     Ages,
     AgesAsStep,
     Crashes,
+    Falls,
     Follow,
     Gets,
     Gives,
@@ -31,6 +33,7 @@ from tests.placement.actors import (
 
 import esair
 from esair import BehaviorState
+from esair.exceptions import line_of
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = [
@@ -445,6 +448,21 @@ async def test_a_crash_makes_safe_and_begins_anew_within_the_budget(
             assert 0.0 in world.wheels.commands[before - 1 :]
             assert query("crashes").restarts == restarts
         assert query("crashes").state is BehaviorState.FAILED
+
+
+@pytest.mark.promise("PLC-3")
+@pytest.mark.parametrize("how", ERRORS)
+async def test_a_crash_is_told_as_what_it_is_and_where_it_was(
+    place: Place, how: str
+) -> None:
+    """By its own class, and by the user's own line, which its log shows."""
+    async with World(place(Falls())) as world:
+        await world.robot.behaviors.put(how, sender="user", receiver="falls")
+        query = world.robot.behaviors.query
+        await world.until(lambda: query("falls").state is BehaviorState.FAILED)
+        error = query("falls").error
+        assert type(error) is type(ERRORS[how])
+        assert line_of(error).endswith("in run: raise ERRORS[await self.receive()]")
 
 
 @pytest.mark.promise("SUP-4")

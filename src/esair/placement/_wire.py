@@ -26,6 +26,7 @@ from esair.exceptions import (
     BusyError,
     EsairError,
     describe,
+    line_of,
     told_traceback,
 )
 from esair.loop import Owner, raisable
@@ -329,20 +330,22 @@ class Exchange:
         return decode(data, self.kinds)
 
     def pack_error(self, error: BaseException) -> bytes:
-        """Return an error, and where it was raised, as bytes."""
+        """Return an error, where it was raised, and by which line, as bytes."""
         is_plain = isinstance(error, EsairError | asyncio.CancelledError)
-        wanted = error if is_plain else raisable(error, self.who)
-        where = "" if is_plain else told_traceback(error)[-NOTE:]
+        place = "" if is_plain else told_traceback(error)[-NOTE:], line_of(error)[:NOTE]
+        if isinstance(error, StopIteration):  # no future takes it
+            error = raisable(error, self.who)
         try:
-            return encode((wanted, where), self.kinds)
+            return encode((error, *place), self.kinds)
         except CodecError:  # what it holds is no plain data, or too much
             told = RuntimeError(describe(error)[:NOTE])
-            return encode((told, where), self.kinds)
+            return encode((told, *place), self.kinds)
 
     def unpack_error(self, data: bytes) -> BaseException:
         """Return an error; where it was raised is a note of it."""
         match decode(data, self.kinds):
-            case (BaseException() as error, str(where)):
+            case (BaseException() as error, str(where), str(line)):
+                vars(error)["_line"] = line
                 if where:
                     error.add_note(f"in the process of {self.name}:\n{where}")
                 return error
