@@ -239,6 +239,35 @@ def test_a_silent_watchdog_is_noticed_and_replaced(
 
 
 @pytest.mark.long
+@pytest.mark.promise("GRD-1")
+@pytest.mark.parametrize("goes_on", [True, False])
+def test_both_are_stopped_and_the_watchdog_goes_on_first(
+    goes_on: bool, request: pytest.FixtureRequest
+) -> None:
+    """Its robot may go on a moment later; one that does not is made safe all the same."""
+    limit = limit_of(request)
+
+    def stopped_for(seconds: float) -> None:
+        with driven("stop", limit) as robot:
+            robot.until_it_moves()
+            (dog,) = robot.dogs()
+            robot.listen(time.monotonic() + 0.1)
+            for pid in (robot.process.pid, dog):
+                os.kill(pid, signal.SIGSTOP)
+            time.sleep(seconds)
+            robot.listen(time.monotonic() + 0.05)  # what was on its way
+            robot.heard.clear()
+            os.kill(dog, signal.SIGCONT)
+            if goes_on:
+                time.sleep(limit / 25)
+                robot.process.send_signal(signal.SIGCONT)
+            robot.listen(time.monotonic() + 4 * limit, quiet=3 * limit)
+            assert robot.data.endswith(b"GO\n" if goes_on else b"STOP\n")
+
+    many(request, stopped_for, [3 * limit] * 2, 50, 3 * limit)
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("policy", ["stop", "alarm"])
 def test_killed_while_its_watchdog_is_silent(
     policy: Literal["stop", "alarm"], request: pytest.FixtureRequest

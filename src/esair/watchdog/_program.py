@@ -22,7 +22,7 @@ from typing import Any
 
 BEATS, MOVING, LATCH, LOOKS, OVER = range(5)
 TELL_STACK, PR_SET_PDEATHSIG = signal.SIGRTMAX, 1
-STOP_WITHIN, SEND_WITHIN, TRIES = 0.02, 0.5, 50
+STOP_WITHIN, SEND_WITHIN, TRIES, VAIN = 0.02, 0.5, 50, 3
 I2C_TIMEOUT, I2C_RDWR, GPIO_SET_VALUES = 0x0702, 0x0707, 0xC010B40F
 
 
@@ -100,12 +100,13 @@ class Watchdog:
 
     def watch(self) -> str:
         """Return why the robot has to be made safe; empty after its good-bye."""
-        beats, since, asked = self.numbers[BEATS], time.monotonic(), False
+        beats, since, asked, looks = self.numbers[BEATS], time.monotonic(), False, 0
         while self.numbers[OVER] != self.pid:  # no fork of it has that number
             self.numbers[LOOKS] += 1
             events = dict(self.poll.poll(min(self.limit, 1e4) * 100))  # a tenth, in ms
-            heard = self.channel.fileno() in events
-            if self.pidfd in events or (heard and not self.hears()):
+            if self.pidfd in events or (
+                self.channel.fileno() in events and not self.hears()
+            ):
                 break
             for place, device in tuple(self.devices.items()):
                 if device.descriptor in events:  # gone: its number must become free
@@ -114,7 +115,9 @@ class Watchdog:
             now = time.monotonic()
             if self.numbers[BEATS] != beats or not self.numbers[MOVING]:
                 beats, since, asked = self.numbers[BEATS], now, False
-            elif now - since >= self.limit:
+                looks = self.numbers[LOOKS]
+            # Time alone says nothing: both may have been paused until now.
+            elif now - since >= self.limit and self.numbers[LOOKS] - looks > VAIN:
                 return f"no turn for {now - since:.3f} s{self.culprit()}"
             elif not asked and now - since >= self.limit / 2:
                 asked = True
