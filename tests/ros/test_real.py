@@ -130,7 +130,9 @@ TOPICS: dict[str, tuple[str, Any, Any]] = {
         Scan(-1.5, 0.5, (1.0, 2.5, float("inf"), 0.25), "laser"),
         {
             "angle_min": -1.5,
+            "angle_max": 0.0,  # that of the last beam
             "angle_increment": 0.5,
+            "range_min": 0.001,  # so 0.0 is not near: it was not measured
             "ranges": [1.0, 2.5, float("inf"), 0.25],
         },
     ),

@@ -476,7 +476,9 @@ class Graph:
         now = self.node.get_clock().now().nanoseconds  # 0 where time is simulated
         at = Time(nanoseconds=max(0, now - round(age * 1e9))).to_msg()
         if hasattr(made, "angle_max") and made.angle_max == 0.0:  # a scan
-            made.angle_max = made.angle_min + made.angle_increment * len(made.ranges)
+            steps = max(0, len(made.ranges) - 1)  # to the last beam: SLAM counts them
+            made.angle_max = made.angle_min + made.angle_increment * steps
+            made.range_min = made.range_min or 0.001  # 0.0 is not measured
             made.range_max = made.range_max or float("inf")
         for each in (made, *getattr(made, "transforms", ())):
             header = getattr(each, "header", None)
