@@ -14,7 +14,7 @@ from tests.ros.parts import Beating, Citizen, Motion, twist
 
 import esair
 from esair.buses import ros
-from esair.buses.ros import Process
+from esair.buses.ros import Link, Process, form_of
 from esair.buses.ros._child import (
     ASKED,
     KEPT,
@@ -24,6 +24,7 @@ from esair.buses.ros._child import (
     Bridge,
     Outbox,
     pack,
+    plain,
     unpack,
 )
 
@@ -92,6 +93,33 @@ def test_what_the_robot_would_read_for_too_long_is_not_sent() -> None:
     text = "a, b,\n" * 30_000
     box.send(["reading", *HEAD, "/text", 0.0, {"data": text}])
     assert unpack(sent.get(timeout=10.0)[4:])[-1] == {"data": text}
+
+
+@pytest.mark.promise("ROS-1", "ROS-2")
+@pytest.mark.parametrize(
+    ("kind", "fields", "wanted"),
+    [
+        ("nav_msgs/msg/OccupancyGrid", "info.width", {"info": {"width": 7}}),
+        ("tf2_msgs/msg/TFMessage", None, {"transforms": []}),
+        ("nav_msgs/msg/OccupancyGrid", None, {"info": {"width": 7}, "transforms": []}),
+    ],
+)
+def test_of_a_message_is_read_what_is_looked_at(
+    kind: str, fields: str | None, wanted: dict[str, Any]
+) -> None:
+    """Whatever else is in it, and however much: of a map one number can be had."""
+
+    class Message:
+        def __init__(self, **parts: Any) -> None:
+            self.__dict__ = parts
+
+        def get_fields_and_field_types(self) -> dict[str, Any]:
+            return self.__dict__
+
+    form = form_of(kind, int if fields else None, fields)
+    link = Link("/map", kind, "topic", "in", "map", form)
+    message = Message(info=Message(width=7), transforms=[])
+    assert plain(message, link.roots) == wanted
 
 
 @pytest.mark.promise("ROS-1", "ROB-3")

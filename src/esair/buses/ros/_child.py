@@ -261,10 +261,13 @@ class Bridge:
             self._answer(number, "failed", "cancelled")
 
 
-def plain(value: Any) -> Any:
-    """Return a message as plain data: dictionaries, lists, numbers, texts and bytes."""
+def plain(value: Any, roots: Any = ()) -> Any:
+    """Return a message as plain data: dictionaries, lists, numbers, texts and bytes.
+
+    With *roots* these fields alone, however much there is in the others.
+    """
     if hasattr(value, "get_fields_and_field_types"):
-        fields = value.get_fields_and_field_types()
+        fields = roots or value.get_fields_and_field_types()
         return {name: plain(getattr(value, name)) for name in fields}
     if getattr(value, "typecode", "") == "B":
         return value.tobytes()
@@ -371,7 +374,7 @@ class Graph:
         def read(data: bytes) -> Any:
             if len(data) > MESSAGE:  # to look into it would take too long
                 raise ValueError("it is larger than 1 MiB")
-            return plain(deserialize_message(data, link["class"]))
+            return plain(deserialize_message(data, link["class"]), link["roots"])
 
         self.topics[name] = self.node.create_subscription(
             *(link["class"], name),

@@ -7,6 +7,7 @@ import collections
 import contextlib
 import logging
 import os
+import re
 import socket
 import struct
 import subprocess
@@ -60,6 +61,13 @@ class Link:
     answer: Form = Form()  # noqa: RUF009
     latched: bool = False
     rate: float = 20.0
+
+    @property
+    def roots(self) -> list[str]:
+        """The fields of a message that are looked at; none is named if all are."""
+        told = self.form.rows or self.form.fields
+        paths = [told] if isinstance(told, str) else told.values()
+        return sorted({re.split("[.:]", path)[0] for path in paths} - {""})
 
 
 class Far(Protocol):
@@ -140,7 +148,7 @@ class Ros:
     @property
     def setup(self) -> dict[str, Any]:
         """What the other side is told first."""
-        told = "name", "type", "kind", "flow", "latched"
+        told = "name", "type", "kind", "flow", "latched", "roots"
         links = [{name: getattr(each, name) for name in told} for each in self.links]
         feeds = {
             each.part: each.rate
