@@ -7,6 +7,7 @@ import logging
 from typing import Any
 
 from esair.actions import Behavior, reads, writes
+from esair.buses.peer import SILENCE
 from esair.exceptions import BadValueError, DeviceLostError, StaleReadingError
 from esair.loop import now
 from esair.values import check_party
@@ -17,8 +18,9 @@ _log = logging.getLogger("esair")
 class Drive(Behavior):
     """Writes to an actuator what comes by a topic; ``why`` tells ``ros:/cmd_vel``.
 
-    A command that came longer ago than the actuator's ``command_timeout`` is not written:
-    the robot, or its side in ROS, was held up. How long ROS has kept it nobody knows. One
+    A command that came longer ago than the actuator's ``command_timeout``, or than a
+    second, is not written: the robot, or its side in ROS, was held up. How long ROS has
+    kept it nobody knows. One
     beyond the limits is not written either; the first of them is a line in the log.
 
     Args:
@@ -42,7 +44,7 @@ class Drive(Behavior):
         bus: str = "ros",
     ) -> None:
         super().__init__(
-            reads={"heard": reads(Any, name=sensor)},
+            reads={"heard": reads(Any, name=sensor, max_age=SILENCE)},
             writes={
                 "moved": writes(Any, name=actuator, priority=priority, blind="release")
             },
