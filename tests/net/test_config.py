@@ -283,6 +283,16 @@ def test_the_loud_word_is_a_warning(files: Files) -> None:
     assert (found.severity, found.key, found.line) == ("warning", "network.insecure", 6)
 
 
+def test_a_network_whose_package_is_missing_is_a_warning(
+    files: Files, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The robot would start without its peers; elsewhere the package may be there."""
+    monkeypatch.setattr("esair.config._network.find_spec", lambda name: None)
+    (found,) = (each for each in check(files.base).findings if each.rule == "peer")
+    assert (found.severity, found.key, found.line) == ("warning", "network", 5)
+    assert "pip install 'esair[net]'" in found.message
+
+
 def test_two_that_do_not_meet_are_warned_of(files: Files) -> None:
     """Not more: something between them may forward a port."""
     files.change(files.rover, str(files.port), "9")

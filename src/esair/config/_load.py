@@ -18,7 +18,7 @@ from esair.buses import Bus
 from esair.config._classes import searched_first
 from esair.config._draft import Draft
 from esair.config._network import (
-    open_to_all,
+    network_warnings,
     pair_mistakes,
     pair_warnings,
     strangers,
@@ -434,16 +434,14 @@ def _found(draft: Draft, robot_class: type) -> list[FoundInFile]:
             page.tls()
     except ConfigError as error:
         mistakes.caught("page", error, "the page")
-    warned = open_to_all(draft.peers)
     sound = not mistakes.errors and not any(each.is_error for each in findings)
     refused_by_robot(draft, robot_class, sound=sound)
     found = [
         FoundInFile("error", "configuration", error.key, error.line, error.reason)
         for error in mistakes.errors
     ]
-    if warned:
-        line = mistakes.lines.of("network.insecure")
-        found.append(FoundInFile("warning", "peer", "network.insecure", line, warned))
+    for key, told in network_warnings(draft.peers):
+        found.append(FoundInFile("warning", "peer", key, mistakes.lines.of(key), told))
     found += [
         FoundInFile(
             finding.severity.value,
