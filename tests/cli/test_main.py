@@ -4,6 +4,8 @@ import importlib.metadata
 import os
 import pty
 import termios
+from contextlib import nullcontext
+from types import SimpleNamespace
 
 import pytest
 
@@ -168,6 +170,21 @@ def test_a_reader_that_has_seen_enough_is_no_error(start, tmp_path) -> None:
     _, told = process.communicate(timeout=60)
 
     assert told == ""
+
+
+def test_the_exit_code_counts_whatever_of_it_is_read(
+    esair_command, monkeypatch
+) -> None:
+    """``esair peers | head`` tells of a peer that is lost all the same."""
+    about = {"name": "base", "bus": "base", "medium": "PeerBus", "state": "lost"}
+    lost = {**about, "error": "no beat of it was heard", "numbers": {}}
+    client = SimpleNamespace(do=lambda _: {"resources": [lost]})
+    monkeypatch.setattr("esair.cli._peers.connect", lambda _: nullcontext(client))
+    read, write = os.pipe()
+    os.close(read)
+    with open(write, "w") as stdout:
+        monkeypatch.setattr("sys.stdout", stdout)
+        assert esair_command("peers") == 1
 
 
 def test_ctrl_c_before_a_verb_has_begun_is_no_traceback(

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -16,7 +14,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from esair.cli._errors import counted
+from esair.cli._errors import counted, heeded
 from esair.cli._options import AsJson
 from esair.config import FoundInFile, Report, check_together, tables_of
 from esair.loop import check_priority, refusal
@@ -41,7 +39,7 @@ def check(
     """
     reports = check_together([robot, *peers])
     console = Console(highlight=False)
-    with console.capture() as shown:
+    with heeded(console):
         if as_json:
             told = [to_json(report) for report in reports]
             found = json.dumps(told if peers else told[0], indent=2)
@@ -49,8 +47,6 @@ def check(
         else:
             for each, report in zip((robot, *peers), reports, strict=True):
                 _print(console, each, report)
-    with contextlib.suppress(BrokenPipeError):  # the exit code counts all the same
-        sys.stdout.write(shown.get())
     return int(any(each.errors or (strict and each.warnings) for each in reports))
 
 

@@ -7,8 +7,8 @@ import errno
 import os
 import sys
 import textwrap
-from collections.abc import Collection, Iterable, Sequence
-from typing import Final, TextIO
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Final, TextIO
 
 from esair.config import ConfigFileError
 from esair.exceptions import (
@@ -22,6 +22,9 @@ from esair.exceptions import (
 from esair.seat import NoRobotError
 from esair.standard import leaves
 from esair.values import printable
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 INTERRUPTED: Final = 130  # The exit code after Ctrl-C: 128 and the number of SIGINT
 NOT_DONE: Final = 1  # The exit code if a robot has not done what it was told
@@ -47,6 +50,15 @@ def show(line: str, stream: TextIO | None = None) -> None:
             break_on_hyphens=False,
         )
     print(line, file=stream)
+
+
+@contextlib.contextmanager
+def heeded(console: Console) -> Iterator[None]:
+    """Write what is printed within: the exit code counts, whatever of it is read."""
+    with console.capture() as shown:
+        yield
+    with contextlib.suppress(BrokenPipeError):
+        sys.stdout.write(shown.get())
 
 
 def say(line: str) -> None:

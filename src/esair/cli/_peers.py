@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from esair.cli._errors import heeded
 from esair.cli._options import AsJson, Which
 from esair.seat import connect
 
@@ -32,7 +33,9 @@ def peers(*, robot: Which = None, machine: AsJson = False) -> int:
             used, holds = ", ".join(each["used"]), ", ".join(each["holds"])
             row = (each["name"], each["state"], told, str(each["refused"]), used, holds)
             table.add_row(*map(Text, row))
-        Console(highlight=False).print(table if found else "it has no peers")
+        console = Console(highlight=False)
+        with heeded(console):
+            console.print(table if found else "it has no peers")
     return int(any(each["state"] != "ready" for each in found))
 
 

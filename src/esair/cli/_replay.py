@@ -13,7 +13,7 @@ from rich.text import Text
 
 import esair
 from esair import config
-from esair.cli._errors import CANNOT_USE, tell
+from esair.cli._errors import CANNOT_USE, heeded, tell
 from esair.cli._log_file import shown
 from esair.cli._options import Verbose
 from esair.values import printable
@@ -140,7 +140,8 @@ def _changes(recorded: Replay, robot: esair.Robot) -> list[str]:
 def show(outcome: Outcome, console: Console) -> int:
     """Show what came of a replay; return the exit code."""
     if outcome.divergence is not None:
-        _show_divergence(outcome.divergence, outcome, console)
+        with heeded(console):
+            _show_divergence(outcome.divergence, outcome, console)
         return DIVERGED
     speed = outcome.seconds / outcome.took if outcome.took > 0 else 0.0
     console.print(

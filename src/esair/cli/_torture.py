@@ -15,7 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
-from esair.cli._errors import CANNOT_USE, tell, wrong_seconds
+from esair.cli._errors import CANNOT_USE, heeded, tell, wrong_seconds
 from esair.cli._options import AsJson, Seconds
 
 FOUND = 1  # The exit code if something was found
@@ -89,11 +89,13 @@ def torture(
         write_test(target, each.violation, each.story, seed, folder)
         for each in report.findings
     ]
-    if as_json:
-        told_as = json.dumps(to_json(target.name, report, files), indent=2)
-        Console(highlight=False).out(told_as, highlight=False)
-    else:
-        _show(Console(highlight=False), target.name, report, files)
+    shown = Console(highlight=False)
+    with heeded(shown):
+        if as_json:
+            told_as = json.dumps(to_json(target.name, report, files), indent=2)
+            shown.out(told_as, highlight=False)
+        else:
+            _show(shown, target.name, report, files)
     return FOUND if report.findings else 0
 
 
