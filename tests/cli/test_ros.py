@@ -17,3 +17,12 @@ def test_to_find_without_ros_is_one_line(esair_command, capsys, tmp_path) -> Non
     assert told.startswith("esair: device of 'ros' is lost: ")
     assert "setup.bash: No such file" in told
     assert len(told.splitlines()) == 1
+
+
+@pytest.mark.parametrize("seconds", [-1, 0, "nan"])
+def test_to_find_for_no_time_is_refused(esair_command, capsys, seconds) -> None:
+    """No process of ROS is begun for that."""
+    assert esair_command("ros", "--find", "--for", seconds) == 2
+    assert capsys.readouterr().err == (
+        f"esair: --for: expected seconds > 0, not {seconds}\n"
+    )

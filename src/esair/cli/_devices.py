@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from esair import discovery
-from esair.cli._errors import CANNOT_USE, INTERRUPTED, tell
+from esair.cli._errors import CANNOT_USE, INTERRUPTED, tell, wrong_seconds
 from esair.discovery import Device, Plugs, Wakes
 from esair.exceptions import EsairError, describe
 
@@ -80,6 +80,7 @@ def devices(
     )
     if mistake:
         tell(mistake)
+    if mistake or wrong_seconds(seconds):
         return CANNOT_USE
     show: _Json | _Words = _Json() if as_json else _Words(only_toml=as_toml)
     try:
@@ -129,12 +130,8 @@ def _mistake(verbs: dict[str, bool], *, as_json: bool, seconds: float | None) ->
         return f"{' and '.join(asked)}: expected one of them"
     if as_json and verbs["--toml"]:
         return "--json and --toml: expected one of them (the JSON has the TOML too)"
-    if seconds is None:
-        return ""
-    if not (verbs["--watch"] or verbs["--find"]):
+    if seconds is not None and not (verbs["--watch"] or verbs["--find"]):
         return "--for: expected it with --watch or --find"
-    if not 0 < seconds < float("inf"):
-        return f"--for: expected seconds > 0, not {seconds:g}"
     return ""
 
 

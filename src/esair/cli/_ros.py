@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from esair.cli._errors import show
+from esair.cli._errors import CANNOT_USE, show, wrong_seconds
 from esair.cli._options import AsJson, Which
 from esair.cli._peers import of_status
 from esair.seat import connect
@@ -55,6 +55,8 @@ def ros(
             shown = (told, found["error"] or "", *found["used"])
             print("\n".join(filter(None, map(printable, shown))))  # noqa: T201
         return int(found is None or found["state"] != "ready")
+    if wrong_seconds(seconds):
+        return CANNOT_USE
     from esair.buses.ros import Process, look_at
 
     graph = look_at(Process(python, setup), seconds=seconds, domain=domain)
