@@ -80,6 +80,9 @@ class Judge:
 
             timer = self.node.create_timer(0.05, look, callback_group=self.group)
             await future
+            if goal.request.order == 13:
+                goal.abort()
+                return child.fill(action.Result(), {"sequence": [13]})
             if goal.is_cancel_requested:
                 tell("cancelled", name)
                 goal.canceled()

@@ -272,6 +272,9 @@ async def test_services_and_actions_each_way() -> None:
                 except esair.RefusedError:
                     await asyncio.sleep(0.2)
         assert (answer, news[-1:]) == ((0, 1, 1), [{"sequence": [0]}])
+        why = r"/far_count has aborted it: \{'sequence': \[13\]\}"
+        with pytest.raises(esair.BehaviorFailedError, match=why):
+            await hand.ask("far_count", Count(13))
         with pytest.raises(esair.BehaviorUnavailableError):
             await hand.ask("far_count", Count(90), timeout=0.5)
         await judge.until("cancelled", "/far_count")

@@ -527,7 +527,7 @@ class Graph:
             self.asked.pop(number, None)
             status, result = future.result().status, plain(future.result().result)
             how = "answered" if status == 4 else "failed"  # STATUS_SUCCEEDED
-            told = {5: "it was cancelled in ROS", 6: name + " has aborted it"}
+            told = {5: "it was cancelled in ROS", 6: f"{name} has aborted it: {result}"}
             say("answer", number, how, told.get(status, result))
 
         self.asked[number] = lambda: None
