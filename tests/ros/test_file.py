@@ -194,6 +194,8 @@ async def test_what_it_stands_for(file: Path) -> None:
         ("domain = 7", 'namespace = "x y"', "namespace", "expected letters, digits"),
         ("domain = 7", 'node = "1st"', "node", "expected letters, digits"),
         ("priority = 5", "latched = true", "latched", "a command of before would"),
+        ("priority = 5", "rate = 0", "topics.'/cmd_vel'.rate", "more than 0 and at"),
+        ("rate = 10.0", "rate = -1.0", "topics.'/odom'.rate", "more than 0 and at"),
         ("priority = 5", "priorty = 5", "priorty", "did you mean 'priority'"),
         ('sensor = "scan"', 'sensor = "where"', "scan", "a sensor 'where' already"),
         ('services."/dock"', 'services."/scan"', "services", "a topic '/scan' already"),

@@ -169,6 +169,12 @@ def _entries(source: Source, table: _Ros) -> Iterator[_Entry]:
                 source.wrong(f"{key}.type", f"'package/{package}/Name'", told.type)
             elif sum(getattr(told, way) is not None for way in ways) != 1:
                 add(key, f"expected one of {', '.join(ways)}")
+            elif (
+                kind == "topic" and told.rate is not None and not 0 < told.rate <= 1000
+            ):
+                source.wrong(
+                    f"{key}.rate", "more than 0 and at most 1000 Hz", told.rate
+                )
             elif kind == "topic" and told.latched and told.drive is not None:
                 add(f"{key}.latched", "a command of before would move it at each start")
             elif (other := kinds.setdefault(name, kind)) != kind:
