@@ -112,6 +112,23 @@ async def test_a_number_that_was_never_sent_ends_no_conversation(
 
 
 @pytest.mark.promise("NET-3", "NET-6")
+@pytest.mark.parametrize("what", ["beat", "bye"])
+async def test_a_message_of_a_run_long_over_loses_nobody(what: str) -> None:
+    """It comes late, and this run has never heard of that one: it echoes nothing of now."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand) as (_base, rover):
+        for echoed in (0, 99):
+            old = packed(
+                Head(77, 500, echoed, 3 * echoed, 0.0), (), pair.to_rover.kinds
+            )
+            pair.network.inject("base", "rover", what, old)
+            await asyncio.sleep(0.0)
+            assert await hand.wheels.write(Twist(0.2, 0.0))
+        await asyncio.sleep(1.5)
+        assert rover.resources.query("far_wheels").losses == 0
+
+
+@pytest.mark.promise("NET-3", "NET-6")
 async def test_who_takes_each_other_for_over_meet_again() -> None:
     """A second pair of the same two names was heard by both, and has gone."""
     pair, hand = Pair(), Hand()
