@@ -473,3 +473,73 @@ async def test_what_is_not_available_is_no_value(
         assert await user.limit.read() == 8031.875
         assert (await user.limit.reading()).sequence == 1
         assert await user.whole.read() == {}
+
+
+@pytest.mark.parametrize(
+    ("extra", "expected"), [("", "fe91ff"), ('BA_ "GenSigStartValue" SG_', "de9101")]
+)
+async def test_what_is_not_commanded_is_not_available(
+    wire: Any, tmp_path: Path, extra: str, expected: str
+) -> None:
+    """Zeros would be commands too (SAE J1939-71), such as to brake with nothing."""
+    lines = [
+        "BO_ 2566834174 Demand: 3 Engine",
+        ' SG_ mode : 0|2@1+ (1,0) [0|3] "" Engine',
+        ' SG_ prio : 4|2@1+ (1,0) [0|2] "" Engine',
+        ' SG_ torque : 8|8@1+ (1,-125) [-125|125] "%" Engine',
+        ' SG_ speed : 16|8@1+ (0.5,10) [10|135] "rpm" Engine',
+        'BA_DEF_ SG_ "GenSigStartValue" FLOAT 0 255;',
+        'BA_DEF_DEF_ "GenSigStartValue" 0;',
+        'BA_ "VFrameFormat" BO_ 2566834174 3;',
+        'VAL_ 2566834174 prio 1 "high" 2 "low" ;',
+    ]
+    if extra:
+        lines += [f"{extra} 2566834174 prio 1;", f"{extra} 2566834174 speed 1;"]
+    text = FILE.replace("BO_ 5 ", "\n".join(lines[:5]) + "\nBO_ 5 ")
+    (database := tmp_path / "engine.dbc").write_text(text + "\n".join(lines[5:]))
+    engine = DbcActuator(
+        name="engine",
+        bus=wire,
+        database=database,
+        message="Demand",
+        signal="torque",
+        fixed={"mode": 2},
+        safe=0.0,
+    )
+    await wire.open()
+    await engine.open()
+    await engine.write(20.0)
+    await asyncio.sleep(0.01)
+    assert wire.sent[-1].data.hex() == expected
+    await engine.close()
+    await wire.close()
+
+
+def test_what_is_fixed_is_within_the_limits_of_the_file(make: Any) -> None:
+    """Of a message of J1939, too, where "not available" is beyond them."""
+    with pytest.raises(ConfigError, match="first: expected 0 to 250, not 251"):
+        make(message="All", signal="last", safe=0, fixed={"first": 251})
+
+
+async def test_a_message_that_its_receiver_holds_is_heard_to_its_end(
+    wire: Any, tmp_path: Path
+) -> None:
+    """It says so every half second, and the sender may wait for it (J1939-21)."""
+    (database := tmp_path / "engine.dbc").write_text(FILE)
+    one = DbcSensor(name="one", bus=wire, database=database, message="One")
+    user = esair.Behavior(name="user", reads={"one": esair.reads(dict)}, writes={})
+
+    def say(place: int, ends: int, data: str) -> None:
+        wire.feed(7 << 26 | place << 16 | ends, bytes.fromhex(data), extended=True)
+
+    async with esair.Robot(resources=[one], behaviors=[user]):
+        say(0xEC, 0x0527, "10140003ff00ef00")
+        for _ in range(3):
+            await asyncio.sleep(0.5)
+            say(0xEC, 0x2705, "1100ffffff00ef00")
+        await asyncio.sleep(0.5)
+        say(0xEC, 0x2705, "110301ffff00ef00")
+        for number in (1, 2, 3):
+            say(0xEB, 0x0527, bytes([number] * 8).hex())
+        await asyncio.sleep(0.1)
+        assert await user.one.read() == {"first": 1, "last": 3}

@@ -39,7 +39,6 @@ Source: the file itself, read by cantools (DBC; ARXML, KCD and SYM as well).
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import sys
 from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
@@ -61,6 +60,7 @@ from esair.drivers.dbc._j1939 import (
     id_to,
     ids_from,
     is_j1939,
+    not_available,
     seconds_for,
     send_in_packets,
 )
@@ -118,10 +118,9 @@ class MessageCodec:
     def __init__(self, message: Message, *, names: bool = False) -> None:
         self.message = message
         self.names = names
-        fitting = [size for size in FD_SIZES if size >= message.length]
+        sizes = () if is_j1939(message) else FD_SIZES  # that may come in packets
+        fitting = [size for size in sizes if size >= message.length]
         self.size: int = min(fitting, default=message.length)
-        if is_j1939(message):  # it may come in packets
-            self.size = message.length
         self.signals: dict[str, Signal] = {
             signal.name: signal for signal in message.signals
         }
@@ -159,7 +158,8 @@ class MessageCodec:
         """
         ones = is_j1939(self.message)  # where nothing is, nothing is asked for
         try:
-            return self.message.encode(values, padding=ones).ljust(self.size, b"\0")
+            packed = self.message.encode(values, padding=ones, strict=not ones)
+            return packed.ljust(self.size, b"\0")
         except (CantoolsError, ValueError, KeyError, TypeError) as error:
             raise FrameError(f"{self.message.name}: {describe(error)}") from error
 
@@ -214,10 +214,9 @@ def choices_of(signal: Signal) -> dict[int, str]:
 
 def at_rest(signal: Signal) -> float:
     """What a signal is that nobody commands: its initial value, or the nearest to 0."""
-    initial: Any = signal.initial
-    if not isinstance(initial, str):
-        with contextlib.suppress(TypeError, ValueError):
-            return float(initial)
+    if (raw := signal.raw_initial) is not None:
+        scaled: Any = signal.conversion.raw_to_scaled(raw, decode_choices=False)
+        return float(scaled)
     low, high = bounds(signal)
     return min(max(0.0, low), high)
 
@@ -346,8 +345,7 @@ class DbcSensor(Sensor[Any]):
         self._is_absent = absences(self.codec.message)
         self.sources: dict[int, int] = {}
         self.buffer: int = check_whole(self.name, "buffer", buffer, 1)
-        self.bad_frames = self.repeated = self.missed = 0
-        self._absent_in_row = 0
+        self.bad_frames = self.repeated = self.missed = self._absent_in_row = 0
         self._numbers: dict[int, int] = {}
         self._dropped = 0
         self._inbox: Any = None
@@ -375,9 +373,8 @@ class DbcSensor(Sensor[Any]):
 
     def _heard(self, inbox: Inbox[Frame]) -> AsyncIterator[Frame]:
         """Yield each message: a frame, or what several are together."""
-        if self._transport is None:
-            return heard(self, inbox, self.silent_after)
-        return heard(self, inbox, self.silent_after, self._transport.feed)
+        made = None if self._transport is None else self._transport.feed
+        return heard(self, inbox, self.silent_after, made)
 
     def _frames(self) -> Inbox[Frame]:
         return self.bus.frames(
@@ -466,6 +463,7 @@ class DbcActuator(Actuator[Any]):
         message: The name of the message.
         safe: The safe command: its signals, or the value of the only one.
         signal: The name of the only signal that commands are; all of them unless given.
+            The others are as the file begins them, or 0; "not available" in J1939.
         fixed: Signals that are the same in every frame, and are not in commands.
         sequence: The name of a signal that counts the frames; it is not in commands.
             The watchdog tries 16 numbers of it, not knowing which is next.
@@ -484,8 +482,6 @@ class DbcActuator(Actuator[Any]):
             by name that are not multiplexed.
         own_timeout: After how many seconds without a command the node itself stops.
     """
-
-    codec: MessageCodec
 
     bus: CanBus
 
@@ -508,7 +504,8 @@ class DbcActuator(Actuator[Any]):
         **settings: Unpack[ActuatorSettings],
     ) -> None:
         super().__init__(**settings)
-        self.codec = codec = MessageCodec(find_message(self.name, database, message))
+        codec = MessageCodec(find_message(self.name, database, message))
+        self.codec: MessageCodec = codec
         self._id = id_to(self.name, codec.message, source, destination)
         self._in_packets = codec.size > 8 and is_j1939(codec.message)
         if self._in_packets:
@@ -702,6 +699,7 @@ class DbcActuator(Actuator[Any]):
             return {**command, **self._fixed}
         values = {self.signal: command, **self._fixed}
         rest = {name: at_rest(each) for name, each in self.codec.signals.items()}
+        rest.update(not_available(self.codec.message))
         for name in self.codec.selected({**rest, **values}) - {self.sequence}:
             values.setdefault(name, rest[name])
         return values
@@ -759,6 +757,8 @@ class DbcActuator(Actuator[Any]):
             told = f"expected {expected}, not {safe!r:.80}"
             raise ConfigError(self.name, "safe", told)
         try:
+            for name, value in self._fixed.items():
+                self._check(self.codec.signals[name], value)
             self._encoded(self._checked_signals(self._by_name(safe)))
         except BadValueError as error:
             text = str(error).removeprefix(f"{self.name}: ").removeprefix("command: ")

@@ -61,6 +61,20 @@ def _is_beyond(name: str, edge: float, values: Mapping[str, Any]) -> bool:
     return name in values and values[name] > edge
 
 
+def not_available(message: Message) -> dict[str, Any]:
+    """Return the signals of a message in J1939 of which its sender says nothing.
+
+    All their bits are ones (SAE J1939-71), unless the file has an initial value.
+    """
+    return {
+        signal.name: signal.conversion.raw_to_scaled(
+            -1 if signal.is_signed else (1 << signal.length) - 1, decode_choices=False
+        )
+        for signal in (message.signals if is_j1939(message) else ())
+        if signal.raw_initial is None and not (signal.is_multiplexer or signal.is_float)
+    }
+
+
 def ids_from(component: str, message: Message, source: Source) -> Ids:
     """Return the ids that a message of J1939 comes with: from any node, or from one."""
     if source is None and not is_j1939(message):
@@ -171,6 +185,8 @@ class Reassembly:
 
     def _announced(self, ends: tuple[int, int], data: bytes, time: float) -> None:
         kind, size = data[0], int.from_bytes(data[1:3], "little")
+        if kind == CTS and (begun := self._begun.get(ends[::-1])):
+            begun.heard = time  # the other end still wants it, if not at once
         if kind not in {RTS, BAM, ABORT}:
             return
         sender = ends if kind != ABORT else ends[::-1]  # either of both may end it
