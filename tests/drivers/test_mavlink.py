@@ -107,6 +107,58 @@ async def test_readings_are_in_units_of_the_house() -> None:
 
 
 @pytest.mark.parametrize(
+    ("message", "field", "value"),
+    [
+        ("DISTANCE_SENSOR", "id", "current_distance"),
+        ("NAMED_VALUE_FLOAT", "name", "value"),
+    ],
+)
+async def test_of_several_of_a_kind_one_is_read(
+    message: str, field: str, value: str
+) -> None:
+    """The distance behind is not that ahead; one that falls silent is lost alone."""
+    line = FakeSerial(framing="mavlink")
+    kind = getattr(line.framing.dialect, f"MAVLink_{message.lower()}_message")
+    mav = line.framing.dialect.MAVLink(None, 1, 1)
+    names: list[Any] = [0, 1] if field == "id" else [b"ahead", b"behind"]
+    there = {name: 10 + n for n, name in enumerate(names)}
+
+    def packed() -> bytes:
+        fields: dict[str, Any] = dict.fromkeys(kind.fieldnames, 0)
+        if "quaternion" in fields:
+            fields["quaternion"] = [0.0] * 4
+        told = [fields | {field: name, value: far} for name, far in there.items()]
+        return b"".join(bytes(kind(**each).pack(mav)) for each in told)
+
+    line.repeat(packed, 0.1)
+    ahead, behind = (
+        MavlinkSensor(
+            name=f"at_{n}",
+            message=message,
+            value=value,
+            instance=name if field == "id" else name.decode(),
+            bus=line,
+        )
+        for n, name in enumerate(names)
+    )
+    async with opened(ahead, behind):
+        streams = ahead.stream(), behind.stream()
+        assert {await anext(streams[0]) for _ in range(5)} == {10}
+        assert {await anext(streams[1]) for _ in range(5)} == {11}
+        del there[names[1]]
+        with pytest.raises(DeviceLostError, match=f"no {message} .* instance"):
+            _ = [told async for told in streams[1]]
+        assert await anext(streams[0]) == 10
+
+
+def test_a_message_that_there_is_but_once_has_no_instance() -> None:
+    """Said as soon as it is made."""
+    line = FakeSerial(framing="mavlink")
+    with pytest.raises(ConfigError, match="has but one ATTITUDE"):
+        MavlinkSensor(name="turn", message="ATTITUDE", instance=0, bus=line)
+
+
+@pytest.mark.parametrize(
     ("message", "field", "none", "known"),
     [
         ("SYS_STATUS", "voltage_battery", 65535, 11_900),

@@ -275,6 +275,7 @@ class _OnVehicle(Resource):
 
     bus: SerialBus
     deadline: float = 5.0
+    instance: int | str | None = None
 
     def __init__(self, *, system: int = 1, **settings: Any) -> None:
         super().__init__(**settings)
@@ -289,14 +290,18 @@ class _OnVehicle(Resource):
         self, message: str, inbox: Inbox[bytes], seconds: float = PATIENCE
     ) -> AsyncIterator[Any]:
         """Yield each of the vehicle's messages of one kind; lost if none comes."""
-        number = self._talk.number(message)
+        number, wanted = self._talk.number(message), self.instance
 
         def decoded(payload: bytes) -> Any:
             told = self._talk.decoded(payload, self.system, number)
             # A gimbal or a camera of the vehicle has a heartbeat, too, and its number.
-            return None if getattr(told, "autopilot", None) == NO_AUTOPILOT else told
+            if told is None or getattr(told, "autopilot", None) == NO_AUTOPILOT:
+                return None
+            is_it = wanted is None or getattr(told, told.instance_field) == wanted
+            return told if is_it else None
 
         what = f"no {message} of system {self.system}"
+        what += "" if wanted is None else f" with instance {wanted!r}"
         return heard(self, inbox, seconds, decoded, what)
 
     async def _first(self, message: str, seconds: float = PATIENCE) -> None:
@@ -328,6 +333,8 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
             and every 5 s; the least of those who read the message. As it likes if
             None. A reading is current for three of them, or for ``silent_after``.
         silent_after: After how many seconds without one the vehicle is lost.
+        instance: Of which of several it is told: the ``id`` of a battery, a distance
+            sensor or the like, the ``name`` of a ``NAMED_VALUE_FLOAT``. Of all if None.
         system: The number of the vehicle.
 
     Attributes:
@@ -345,6 +352,7 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
         scale: float = 1.0,
         period: float | None = None,
         silent_after: float = PATIENCE,
+        instance: int | str | None = None,
         **settings: Unpack[_SensorSettings],
     ) -> None:
         super().__init__(**settings)
@@ -357,6 +365,10 @@ class MavlinkSensor(_OnVehicle, Sensor[Any]):
         if value is not None and value not in kind.fieldnames:
             told = f"expected one of {', '.join(kind.fieldnames)}, not {value!r:.40}"
             raise ConfigError(self.name, "value", told)
+        if instance is not None and kind.instance_field is None:
+            told = f"expected none: each vehicle has but one {message}"
+            raise ConfigError(self.name, "instance", told)
+        self.instance = instance
         self._value = value
         self._none = math.nan
         if value is not None:
