@@ -332,6 +332,25 @@ async def test_a_servo_turns_and_pushes_in_its_mode() -> None:
     await bus.close()
 
 
+@pytest.mark.virtual_clock
+@pytest.mark.parametrize(
+    ("model", "unit", "units"),
+    [(1020, None, 100), (1200, None, 269), (1050, None, 201), (1200, 0.00269, 100)],
+)
+async def test_a_current_is_in_the_units_of_the_model(
+    model: int, unit: float | None, units: int
+) -> None:
+    """XM430, XL330 and XH430-V210 have three of them, by the maker's tables."""
+    fakes = FakeServos({1: FakeServo(model=model)})
+    bus = ServoBus(name="arm", wire=fakes)
+    grip = ServoCurrent(name="grip", unit=unit, bus=bus)
+    await bus.open()
+    await grip.open()
+    await grip.write(0.269)
+    assert fakes.servos[1].get(GOAL_CURRENT) & 0xFFFF == units
+    await bus.close()
+
+
 # The codec.
 
 

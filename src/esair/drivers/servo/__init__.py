@@ -191,11 +191,12 @@ class Torqued(_OnServo, Actuator[T]):
         self._torque = False
         self._takes = -math.inf, math.inf
         """The least and the greatest number that the servo takes."""
+        self._model = 0
 
     async def open(self) -> None:
         """Make sure that the servo answers, and is in its mode; nothing moves by that."""
         self._torque = False
-        await self.bus.ping(self.id)
+        self._model = await self.bus.ping(self.id)
         table = self.bus.table
         mode = table.modes[self.mode]
         assert mode is not None  # its class has refused a bus without it

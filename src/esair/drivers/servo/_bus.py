@@ -126,7 +126,8 @@ class Table(NamedTuple):
         velocity_unit: The unit of both in rad/s.
         no_limit: The speed that is none.
         current: How hard it pushes in current mode; None if it has no such mode.
-        current_unit: The unit of that in A, unless its model has another.
+        current_unit: The unit of that in A.
+        current_units: That of models which have another.
         errors: The bits of why it has shut down.
         look: What is read for a `Snapshot`: its entries, as they are in one block.
         limits: Its least and its greatest goal, in any order; both 0 for none.
@@ -154,6 +155,7 @@ class Table(NamedTuple):
     no_limit: int = 0
     current: Entry | None = None
     current_unit: float = 0.0
+    current_units: Mapping[int, float] = {}
     mapped: int | None = None
     light: int | None = None
     lock: int | None = None
@@ -193,6 +195,9 @@ class Table(NamedTuple):
         )
 
 
+X330: Final = dict.fromkeys((1190, 1200, 1210, 1220, 1230, 1240), Entry(208, 10))
+"""What is read for a `Snapshot` of XL330 and XC330, whose table is shorter; by model."""
+
 DYNAMIXEL_X: Final = Table(
     torque=64,
     mode=11,
@@ -206,6 +211,7 @@ DYNAMIXEL_X: Final = Table(
     look=Entry(224, 10),
     current=Entry(102, 2),
     current_unit=0.00269,
+    current_units={**dict.fromkeys(X330, 0.001), 1040: 0.00134, 1050: 0.00134},
     limits=Entry(48, 8),
     mapped=168,
     light=65,
@@ -214,9 +220,6 @@ DYNAMIXEL_X: Final = Table(
     drive=10,
 )
 """The X series of ROBOTIS: the control table of the XL430-W250."""
-
-X330: Final = dict.fromkeys((1190, 1200, 1210, 1220, 1230, 1240), Entry(208, 10))
-"""What is read for a `Snapshot` of XL330 and XC330, whose table is shorter; by model."""
 
 FEETECH_STS: Final = Table(
     torque=40,

@@ -97,8 +97,8 @@ class ServoCurrent(_Turned):
 
     Args:
         id: The servo's id, 0 to 252; they come with 1.
-        unit: The current of one unit of its table, in A: 0.001 for XL330 and XC330; that
-            of XM and XH, 0.00269, or of HLS, 0.0065, unless given.
+        unit: The current of one unit of its table, in A; that of its model unless given,
+            such as 0.001 of XL330 and XC330, 0.00269 of XM and XH, or 0.0065 of HLS.
         limits: Least and greatest current, in A.
     """
 
@@ -116,7 +116,15 @@ class ServoCurrent(_Turned):
         if table.current is None:
             raise ConfigError(self.name, "bus", "its servos have no current mode")
         self._greatest = table.strongest
-        self.unit = table.current_unit if unit is None else unit
+        self._is_by_model = unit is None
+        self.unit: float = table.current_unit if unit is None else unit
         if not 0 < self.unit < 1:
             raise ConfigError(self.name, "unit", f"expected A, above 0, not {unit!r}")
         self._turns(table.current, self.unit, limits)
+
+    async def open(self) -> None:
+        """Make sure that the servo answers, and is in its mode; nothing moves by that."""
+        await super().open()
+        if self._is_by_model:
+            units = self.bus.table.current_units
+            self.unit = self._unit = units.get(self._model, self.unit)
