@@ -27,6 +27,7 @@ from esair.drivers.gpiozero import (  # noqa: E402
     EchoSensor,
     GpiozeroActuator,
     GpiozeroSensor,
+    encoder,
 )
 from esair.exceptions import BadValueError, ConfigError  # noqa: E402
 
@@ -137,6 +138,29 @@ async def test_an_encoder_counts_without_an_end(factory) -> None:
             for pin, level in ((5, "low"), (6, "low"), (5, "high"), (6, "high")):
                 getattr(factory.pin(pin), f"drive_{level}")()
         assert abs((await robot.sensors.read(right, fresh=True)).value) == 40
+
+
+def test_an_encoder_that_wraps_does(factory) -> None:
+    """At the 16 steps of the class, unless it is told where."""
+    for named, ends in (({}, 0), ({"wrap": True}, 16), ({"max_steps": 9}, 9)):
+        made = encoder(5, 6, **named)
+        assert made.max_steps == ends
+        made.close()
+
+
+def test_a_server_that_is_away_is_soon(tmp_path, monkeypatch) -> None:
+    """The program waits for ten seconds by itself, which no reading may take."""
+    (ping := tmp_path / "ping").write_text(
+        '#!/bin/sh\n[ "$2" = -W1 ] || exit 0; exit 1'
+    )
+    ping.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/bin:/usr/bin")
+    server = GpiozeroSensor(
+        name="base", device="PingServer", arguments={"host": "192.0.2.1"}
+    )
+    server.open()
+    assert server.read() is False
+    server.close()
 
 
 @pytest.mark.promise("SC-3")

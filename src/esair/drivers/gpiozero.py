@@ -25,6 +25,7 @@ import contextlib
 import errno
 import functools
 import math
+import subprocess
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple, TypeVar, Unpack
@@ -157,11 +158,28 @@ class EchoSensor(gpiozero.DistanceSensor):  # type: ignore[misc]  # it is not ty
         raise OSError(errno.EIO, "no echo comes: is it connected?")
 
 
+class PingedServer(gpiozero.PingServer):  # type: ignore[misc]  # it is not typed
+    """A `gpiozero.PingServer` whose server is away after a second, not after ten."""
+
+    @property
+    def value(self) -> int:
+        """1 if the server answers a ping, else 0."""
+        told = ["ping", "-c1", "-W1", self.host]
+        quiet = subprocess.DEVNULL
+        return int(subprocess.call(told, stdout=quiet, stderr=quiet) == 0)
+
+
+def encoder(*pins: Any, wrap: bool = False, **named: Any) -> Any:
+    """Return a `gpiozero.RotaryEncoder`, whose count would stay at 16 as it comes."""
+    named = {"max_steps": 16 if wrap else 0, **named}
+    return gpiozero.RotaryEncoder(*pins, wrap=wrap, **named)
+
+
 _MADE: Final[Mapping[str, Any]] = {
     # Its median of nine tells what is new 0.4 s after it came.
     "DistanceSensor": functools.partial(EchoSensor, queue_len=3),
-    # Its count would stay at 16, though the wheel turns on.
-    "RotaryEncoder": functools.partial(gpiozero.RotaryEncoder, max_steps=0),
+    "PingServer": PingedServer,
+    "RotaryEncoder": encoder,
 }
 
 
@@ -170,7 +188,7 @@ class GpiozeroSensor(MadeSensor):
 
     A ``DistanceSensor`` without an echo for 0.5 s is at fault; it tells the median of three
     echoes unless it is given ``queue_len``. A ``RotaryEncoder`` counts without an end unless
-    it is given ``max_steps``.
+    it is given ``max_steps``, or ``wrap``. A ``PingServer`` is asked for a second.
 
     Args:
         device: Its class, one of `READS`.
