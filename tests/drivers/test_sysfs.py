@@ -236,6 +236,35 @@ def test_a_pwm_channel_begins_with_nothing(root) -> None:
     assert (channel / "duty_cycle").read_text() == "10000"
 
 
+def test_a_pwm_channel_that_was_left_inverted_is_left_alone(root) -> None:
+    """Nothing would be full speed: it is for whoever knows how it is wired to say so."""
+    channel = root / "class/pwm/pwmchip0/pwm1"
+    (channel / "polarity").write_text("inversed\n")
+    with pytest.raises(DeviceFaultError, match="polarity is inversed: say inverted"):
+        SysfsActuator(device="pwm:pwmchip0/1").open()
+    assert (channel / "enable").read_text() == "0"
+    fan = SysfsActuator(device="pwm:pwmchip0/1", inverted=True)
+    fan.open()
+    assert (channel / "enable").read_text() == "1"
+
+
+def test_a_pwm_channel_is_inverted_while_it_is_off(root, monkeypatch) -> None:
+    """The kernel refuses it of one that is on, as it was left."""
+    channel, write = root / "class/pwm/pwmchip0/pwm1", Path.write_text
+    (channel / "polarity").write_text("normal\n")
+    (channel / "enable").write_text("1")
+
+    def kernel(path: Path, text: str, **named: Any) -> int:
+        if path.name == "polarity" and (channel / "enable").read_text() == "1":
+            raise OSError(errno.EBUSY, "Device or resource busy")
+        return write(path, text, **named)
+
+    monkeypatch.setattr(Path, "write_text", kernel)
+    SysfsActuator(device="pwm:pwmchip0/1", inverted=True).open()
+    told = [(channel / name).read_text() for name in ("polarity", "enable")]
+    assert told == ["inversed", "1"]
+
+
 def test_a_pwm_channel_without_a_period_gets_that_first(root, monkeypatch) -> None:
     """As after a start of the computer: the kernel refuses a duty of no period."""
     channel, write = root / "class/pwm/pwmchip0/pwm1", Path.write_text

@@ -253,6 +253,7 @@ class SysfsActuator(_OnSysfs, Actuator[float]):
         safe: The safe command.
         period: The period of a PWM channel, in seconds.
         limits: Narrower limits than 0 to 1.
+        inverted: Whether the pin of a PWM channel is low while it is on.
     """
 
     folder: Path
@@ -266,6 +267,7 @@ class SysfsActuator(_OnSysfs, Actuator[float]):
         safe: float = 0.0,
         period: float = 0.001,
         limits: tuple[float, float] = (0.0, 1.0),
+        inverted: bool = False,
         **settings: Unpack[ActuatorSettings],
     ) -> None:
         super().__init__(device=device, **settings)
@@ -286,6 +288,7 @@ class SysfsActuator(_OnSysfs, Actuator[float]):
         self.period_ns: int = round(period * 1e9)
         if not 0 < self.period_ns < 2**31:
             raise ConfigError(self.name, "period", f"expected seconds, not {period!r}")
+        self.inverted = inverted
         self.claim: str = device
         self._file = Path()
         self._most = 0
@@ -305,6 +308,13 @@ class SysfsActuator(_OnSysfs, Actuator[float]):
         channel = folder / f"pwm{self._channel}"
         if not channel.is_dir():
             (folder / "export").write_text(self._channel, encoding="ascii")
+        is_inverted = _text(polarity := channel / "polarity") == "inversed"
+        if is_inverted and not self.inverted:  # another program's
+            told = f"{polarity} is inversed: say inverted = true, or write normal to it"
+            raise DeviceFaultError(self.name, told)
+        if self.inverted and not is_inverted:
+            (channel / "enable").write_text("0", encoding="ascii")  # else it is refused
+            polarity.write_text("inversed", encoding="ascii")
         # A duty above the new period would be refused, and so would the period; before
         # there is any period, each duty is.
         if self._read(channel / "period"):
