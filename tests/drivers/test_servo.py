@@ -351,6 +351,31 @@ async def test_a_current_is_in_the_units_of_the_model(
     await bus.close()
 
 
+@pytest.mark.virtual_clock
+@pytest.mark.promise("ROB-3")
+async def test_a_servo_without_power_blinds_nobody_else(fake_actuator: Any) -> None:
+    """It is asked again and again whether it is there, on the wire of the others."""
+    bus = ServoBus(name="arm", wire=FakeServos([1, 2]))
+    places = [ServoPosition(name=f"p{n}", id=n, bus=bus) for n in (1, 2, 3)]
+
+    class Hold(esair.Reaction):
+        p1 = esair.reads(float)
+        p2 = esair.reads(float)
+        hand = esair.writes(float)
+
+        def react(self, p1: float, p2: float) -> float:
+            return 1.0
+
+    hand = fake_actuator("hand", safe=0.0)
+    robot = esair.Robot(resources=[*places, hand], behaviors=[Hold()])
+    async with robot:
+        await hand.until(1.0, timeout=2.0)
+        begun = len(hand.commands)
+        await asyncio.sleep(8.0)
+        assert bus.stats.errors > 3
+        assert 0.0 not in hand.commands[begun:]
+
+
 # The codec.
 
 

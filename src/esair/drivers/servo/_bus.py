@@ -274,6 +274,10 @@ HARDWARE_ERROR = 70
 ANSWER_TIMEOUT: Final = 0.05
 """How long a servo may take for a whole answer, in seconds."""
 
+PING_TIMEOUT: Final = 0.03
+"""How long it may take for one that it is opened with: without power it is asked so again
+and again, and the others wait for as long."""
+
 LATE_LIMIT: Final = 0.1
 """How long after it was given up an answer may still come, in seconds."""
 
@@ -574,8 +578,8 @@ class ServoBus(SerialBus):
                 size = self._put(self.framing.encode(bytes([to]) + request), exchange)
                 if size:
                     await self._sent(size, ANSWER_TIMEOUT)
-                behind = 24 * (len(servos) - 1)  # bytes of what the others answer
-                until = now() + ANSWER_TIMEOUT + self.seconds_for(behind)
+                seconds = PING_TIMEOUT if request[0] == PING else ANSWER_TIMEOUT
+                until = now() + seconds + self.seconds_for(24 * len(servos))
                 while answers and len(told) < len(servos) and now() < until:
                     try:
                         message = await inbox.take(timeout=until - now())
