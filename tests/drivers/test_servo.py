@@ -376,6 +376,75 @@ async def test_a_servo_without_power_blinds_nobody_else(fake_actuator: Any) -> N
         assert 0.0 not in hand.commands[begun:]
 
 
+@pytest.fixture
+def three() -> tuple[FakeServos, ServoBus]:
+    fakes = FakeServos([1, 2, 3])
+    return fakes, ServoBus(name="arm", wire=fakes)
+
+
+class Drives(esair.Behavior):
+    """Tells three actuators a command again and again, also one that is lost."""
+
+    def __init__(self, command: Any) -> None:
+        kind = type(command)
+        names = ("w1", "w2", "w3")
+        super().__init__(writes={name: esair.writes(kind) for name in names})
+        self.command = command
+
+    async def run(self) -> None:
+        async for _ in esair.every(0.02):
+            for port in (self.w1, self.w2, self.w3):
+                with contextlib.suppress(ConnectionError, OSError):
+                    await port.write(self.command)
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.fault("D30")
+@pytest.mark.parametrize("ago", [0.0, 0.02, 0.1, 0.2])
+async def test_one_without_power_does_not_keep_the_others_from_stopping(
+    three: tuple[FakeServos, ServoBus], ago: float
+) -> None:
+    """They wait for one answer that does not come, and not for all that it owes."""
+    fakes, bus = three
+    places = [ServoPosition(name=f"p{n}", id=n, bus=bus) for n in (1, 2, 3)]
+    wheels = [ServoVelocity(name=f"w{n}", id=n, bus=bus) for n in (1, 2, 3)]
+
+    class Look(esair.Reaction):
+        p1 = esair.reads(float, optional=True)
+        p2 = esair.reads(float, optional=True)
+        p3 = esair.reads(float, optional=True)
+        w1 = esair.writes(float, blind="release", priority=-1)
+
+        def react(self, **_: Any) -> None: ...
+
+    robot = esair.Robot(resources=[*places, *wheels], behaviors=[Look(), Drives(1.0)])
+    async with robot:
+        await asyncio.sleep(1.0)
+        assert fakes.servos[1].get(GOAL_VELOCITY)
+        del fakes.servos[3]
+        await asyncio.sleep(ago)
+        robot.halt("stop")
+        await asyncio.sleep(0.07)
+        assert [each.get(GOAL_VELOCITY) for each in fakes.servos.values()] == [0, 0]
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.fault("D29")
+@pytest.mark.parametrize("kind", [Servo, ServoVelocity])
+async def test_one_that_does_not_answer_is_not_said_to_be_safe(
+    three: tuple[FakeServos, ServoBus], kind: Any
+) -> None:
+    """What several are told in one packet none of them confirms: they are asked."""
+    fakes, bus = three
+    more, command = ({"safe": RELEASE}, Goal(0.5)) if kind is Servo else ({}, 1.0)
+    wheels = [kind(name=f"w{n}", id=n, bus=bus, **more) for n in (1, 2, 3)]
+    async with esair.Robot(resources=wheels, behaviors=[Drives(command)]) as robot:
+        await asyncio.sleep(1.0)
+        del fakes.servos[3]
+        told = await robot.halt("stop")
+        assert [each.answered for each in told] == [True, True, False]
+
+
 # The codec.
 
 

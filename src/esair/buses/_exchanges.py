@@ -314,6 +314,10 @@ class Exchange:
         """Its answer is there, or it was not sent: nothing is owed."""
         self._is_answered = True
 
+    def owe(self, *kinds: Hashable) -> None:
+        """No answers are owed any more but those that begin so."""
+        self._kinds = kinds
+
     def answer(self, *, patience: float | None = None) -> asyncio.Future[bytes]:
         """Return the answer, to be awaited at once; the request has been sent."""
         self.due = self.loop.time() + (self._seconds if patience is None else patience)

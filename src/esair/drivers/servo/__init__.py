@@ -323,6 +323,8 @@ class Servo(Torqued[Goal]):
         if command.mode is Mode.RELEASE:
             self._torque = False
             await self.bus.write(self.id, table.torque, 1, 0)
+            if (await self.bus.snapshot(self.id)).has_torque:  # of several none answers
+                raise DeviceFaultError(self.name, "it does not release")
             return None
         await self._check_set_up()
         holds = command.mode is Mode.HOLD

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 
 from esair.buses import Wire
 from esair.buses.serial import SerialBus, SerialLink
-from esair.exceptions import DeviceFaultError, EsairError
+from esair.exceptions import DeviceFaultError
 from esair.framing import Framing, LengthCrc
 from esair.loading import of_extra
 from esair.loop import COMMAND, InLine, now, spawn, urgency
@@ -454,9 +454,27 @@ class ServoBus(SerialBus):
                 self._batches[urgent] = {}
                 # What they are told first: only what they are asked waits for them.
                 for key in sorted(batches, key=lambda key: key[0]):
-                    await self._make_batch(key, batches[key])
+                    together = []
+                    for each in batches[key]:
+                        is_alone = len(batches[key]) == 1 or self._owes(each[0])
+                        if is_alone and key[0] is not Kind.TELL:
+                            self._make_alone(key, each)
+                        else:
+                            together.append(each)
+                    await self._make_batch(key, together)
         finally:
             del self._batches[urgent]
+
+    def _owes(self, servo: int) -> bool:
+        """Tell whether a servo has not answered: it may still do so."""
+        request = self._exchanges.request(servo, timeout=0.0)
+        return self._exchanges.is_owed_to(request)
+
+    def _make_alone(self, key: Key, each: tuple[int, int, InLine[int]]) -> None:
+        """Make a request of a servo that others do not wait for: it may not answer."""
+        loop, context = asyncio.get_running_loop(), contextvars.copy_context()
+        making = self._make_batch(key, [each])
+        spawn(loop, making, name=f"servo {each[0]} alone", context=context)
 
     async def _make_batch(self, key: Key, batch: Batch) -> None:
         """Make requests of one or of several servos for one entry."""
@@ -477,11 +495,14 @@ class ServoBus(SerialBus):
         for servo, found in made.items():
             if key == (Kind.READ, *self._looks[servo][:2]) and isinstance(found, int):
                 self._snapshots[servo] = now(), self.table.snapshot(found)
-        for servo, _, future in live:
-            result = made[servo]
-            if future.done():
+        for each in live:
+            servo, _, future = each
+            result = made.get(servo)
+            if result is None:
+                self._make_alone(key, each)  # then it tells why
+            elif future.done():
                 continue
-            if isinstance(result, BaseException):
+            elif isinstance(result, BaseException):
                 future.set_exception(result)
             else:
                 future.set_result(result)
@@ -516,16 +537,11 @@ class ServoBus(SerialBus):
         request = bytes([SYNC_READ]) + self._at(address, size) + bytes(servos)
         what = f"read {address} of {len(servos)} servos"
         told = await self._exchanged(servos, what, request, to=ALL)
-        found: dict[int, int | BaseException] = {}
-        for servo in servos:
-            error, data = told.get(servo, (-1, b""))
-            found[servo] = int.from_bytes(data, "little")
-            if error or len(data) != size:  # alone it tells why, and for the others
-                try:
-                    found[servo] = await self._read(servo, address, size)
-                except EsairError as alone:
-                    found[servo] = alone
-        return found
+        return {
+            servo: int.from_bytes(data, "little")
+            for servo, (error, data) in told.items()
+            if not error and len(data) == size
+        }
 
     async def _request(self, servo: int, what: str, request: bytes) -> bytes:
         """Ask one servo, and return what it says unless that is an error."""
@@ -570,7 +586,8 @@ class ServoBus(SerialBus):
         told: dict[int, tuple[int, bytes]] = {}
         begin = 1 + len(self._status)
         # Who has not answered is not asked before its answer cannot come any more.
-        exchange = self._exchanges.request(*servos, timeout=self.write_timeout)
+        asked = servos if answers else (ALL,)
+        exchange = self._exchanges.request(*asked, timeout=self.write_timeout)
         exchange.name = what
         async with exchange:
             with self.frames() as inbox:
@@ -590,6 +607,7 @@ class ServoBus(SerialBus):
                         told[servo] = message[begin], message[begin + 1 :]
             if not answers or len(told) == len(servos):
                 exchange.end()
+            exchange.owe(*[servo for servo in servos if servo not in told])
         return told
 
     async def _open(self) -> None:

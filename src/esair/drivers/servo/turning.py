@@ -59,12 +59,15 @@ class _Turned(Torqued[float]):
         Returns the command in the units of its table, and within the limit that it has
         itself, if that is another one.
         """
-        await self._check_set_up()
         is_safe = command == self.safe
+        if not is_safe:
+            await self._check_set_up()
         least, most = self._takes
         wanted = in_units(command, self._unit, self.limits)
         units = int(min(max(least, wanted), most))
         await self._tell(self._entry, units, is_safe=is_safe, needs_torque=not is_safe)
+        if is_safe:  # it went first; whether it is there is asked then
+            await self._check_set_up()
         return applied(command, units * self._unit)
 
 
