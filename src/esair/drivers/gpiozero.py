@@ -257,9 +257,6 @@ class GpiozeroActuator(MadeActuator):
 
 def _known(owner: Resource, device: str, known: Mapping[str, T]) -> T:
     if device not in known:
-        raise ConfigError(
-            owner.name,
-            "device",
-            f"expected one of {', '.join(known)}, not {device!r:.40}",
-        )
+        told = f"expected one of {', '.join(known)}, not {device!r:.40}"
+        raise ConfigError(owner.name, "device", told)
     return known[device]

@@ -183,11 +183,8 @@ class SysfsSensor(_OnSysfs, Sensor[float]):
     ) -> None:
         super().__init__(device=device, **settings)
         if not re.fullmatch(r"[\w-]+", value):
-            raise ConfigError(
-                self.name,
-                "value",
-                f"expected a name such as 'temp1', not {value!r:.40}",
-            )
+            told = f"expected a name such as 'temp1', not {value!r:.40}"
+            raise ConfigError(self.name, "value", told)
         self.value = value
         self.factor = factor
         if limits is not None:
@@ -279,11 +276,8 @@ class SysfsActuator(_OnSysfs, Actuator[float]):
             raise ConfigError(self.name, "limits", told)
         self._chip, _, channel = self.place.partition("/")
         if (self.kind == "pwm") != channel.isdecimal():
-            raise ConfigError(
-                self.name,
-                "device",
-                f"expected pwm:CHIP/CHANNEL or led:NAME, not {device!r}",
-            )
+            told = f"expected pwm:CHIP/CHANNEL or led:NAME, not {device!r}"
+            raise ConfigError(self.name, "device", told)
         self._channel = channel
         self.period_ns: int = round(period * 1e9)
         if not 0 < self.period_ns < 2**31:

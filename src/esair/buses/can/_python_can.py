@@ -474,16 +474,12 @@ def _open(
     if interface == "socketcan":
         # SocketcanBus forgets its descriptor when it cannot bind it.
         _look(owner, channel, options)
-    field = "interface"
     try:
         bus: Any = can.Bus(channel=channel, interface=interface, **options)
-    except can.CanInterfaceNotImplementedError as error:
+    except (can.CanInterfaceNotImplementedError, ImportError) as error:
         known = ", ".join(sorted(can.VALID_INTERFACES))
         told = f"cannot be used: {describe(error)}; python-can knows {known}"
-        raise ConfigError(owner, field, f"{interface!r} {told}") from error
-    except ImportError as error:
-        told = f"{interface!r} needs another package: {describe(error)}"
-        raise ConfigError(owner, field, told) from error
+        raise ConfigError(owner, "interface", f"{interface!r} {told}") from error
     except can.CanError as error:
         raise ConnectionError(describe(error)) from error
     except (TypeError, ValueError) as error:

@@ -261,11 +261,8 @@ class I2CBus(LinkBus[RegisterLink]):
         found = {}
         for address in addresses:
             if address not in SCANNED:
-                raise BadValueError(
-                    self.name,
-                    "addresses",
-                    f"expected 0x08 to 0x77, not {address!r:.80}",
-                )
+                told = f"expected 0x08 to 0x77, not {address!r:.80}"
+                raise BadValueError(self.name, "addresses", told)
             state = await self._call(
                 self._probe, address, timeout=self.timeout, address=address
             )

@@ -148,11 +148,8 @@ def find_object(
         raise ConfigError(component, "object", f"there is no object {shown}{hint}")
     if not isinstance(found, ODVariable):
         members = [f"{found.name}.{each.name}" for each in found.values()]
-        raise ConfigError(
-            component,
-            "object",
-            f"{shown} has members; expected one of {', '.join(members)}",
-        )
+        told = f"{shown} has members; expected one of {', '.join(members)}"
+        raise ConfigError(component, "object", told)
     return found
 
 
@@ -369,11 +366,8 @@ class CanopenActuator(_Object, Actuator[Any]):
         self.safe = safe
         allowed = self._narrowed(limits)
         if allowed is not None and not allowed[0] <= safe <= allowed[1]:
-            raise ConfigError(
-                self.name,
-                "safe",
-                f"expected {allowed[0]:g} to {allowed[1]:g}, not {safe!r:.80}",
-            )
+            told = f"expected {allowed[0]:g} to {allowed[1]:g}, not {safe!r:.80}"
+            raise ConfigError(self.name, "safe", told)
         self.limits: tuple[float, float] | None = allowed
         self.claim: str = f"{self.variable.qualname} of node {self.node}"
         self._newest = 0

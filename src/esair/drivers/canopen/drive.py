@@ -489,10 +489,8 @@ class DriveActuator(OnDrive):
                 raise self._fault()
             if loop.time() >= end:
                 word = "of unknown state" if state is None else state.value
-                raise DeviceFaultError(
-                    self.name,
-                    f"it is not enabled in {ENABLE_TIMEOUT:g} s: it is {word}",
-                )
+                told = f"it is not enabled in {ENABLE_TIMEOUT:g} s: it is {word}"
+                raise DeviceFaultError(self.name, told)
             word = WAY.get(state) if state is not None else None
             if state is State.QUICK_STOP and loop.time() >= quick_stop_until:
                 word = DISABLE  # this drive does not go on from there

@@ -410,10 +410,8 @@ class _GpiodLine:
             if error.errno != errno.EBUSY:
                 raise
             consumer = chip.get_line_info(offset).consumer or "the kernel"
-            raise DeviceFaultError(
-                request.device,
-                f"line {request.line} of {request.chip} is in use by {consumer!r}",
-            ) from error
+            told = f"line {request.line} of {request.chip} is in use by {consumer!r}"
+            raise DeviceFaultError(request.device, told) from error
 
     def fileno(self) -> int:
         return int(self._lines.fd)
@@ -473,10 +471,8 @@ def _path_of(request: LineRequest) -> str:
     if len(fitting) == 1:
         return fitting[0]
     if fitting:
-        raise DeviceFaultError(
-            request.device,
-            f"several chips are named {request.chip!r}: {', '.join(fitting)}",
-        )
+        told = f"several chips are named {request.chip!r}: {', '.join(fitting)}"
+        raise DeviceFaultError(request.device, told)
     known = sorted(name for _, names in chips for name in names if name)
     hint = hint_for(request.chip, known)
     raise DeviceLostError(request.device, f"there is no chip {request.chip!r}{hint}")

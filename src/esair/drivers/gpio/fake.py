@@ -46,16 +46,12 @@ class FakeGpioChip:
                 raise DeviceLostError(request.device, "the chip is not there")
             number = request.line
             if not isinstance(number, int) or number >= len(self._outside):
-                raise DeviceFaultError(
-                    request.device,
-                    f"{request.chip} has the lines 0 to {len(self._outside) - 1}",
-                )
+                told = f"{request.chip} has the lines 0 to {len(self._outside) - 1}"
+                raise DeviceFaultError(request.device, told)
             if number in self._requested or number in self._taken:
                 consumer = self._taken.get(number, "esair")
-                raise DeviceFaultError(
-                    request.device,
-                    f"line {number} of {request.chip} is in use by {consumer!r}",
-                )
+                told = f"line {number} of {request.chip} is in use by {consumer!r}"
+                raise DeviceFaultError(request.device, told)
             line = self._requested[number] = _FakeLine(self, number, request)
             return line
 

@@ -248,11 +248,8 @@ class Gps(Sensor[Fix]):
     ) -> None:
         super().__init__(**settings)
         if not sentences or not set(sentences) <= set(SENTENCES):
-            raise ConfigError(
-                self.name,
-                "sentences",
-                f"expected of GGA and RMC, not {sentences!r:.80}",
-            )
+            told = f"expected of GGA and RMC, not {sentences!r:.80}"
+            raise ConfigError(self.name, "sentences", told)
         check_bus(self, SerialBus, Sentences)
         self.sentences: tuple[str, ...] = tuple(sentences)
         self.builder: FixBuilder = FixBuilder(self.sentences)

@@ -103,11 +103,8 @@ class _OnLine(Resource):
             )
         self.key: str = self.name if key is None else key
         if not _KEY.match(self.key):
-            raise ConfigError(
-                self.name,
-                "key",
-                f"expected letters, digits and _, at most 32, not {key!r:.80}",
-            )
+            told = f"expected letters, digits and _, at most 32, not {key!r:.80}"
+            raise ConfigError(self.name, "key", told)
 
     async def identify(self) -> str | None:
         """Ask the board who it is, if ``identity`` says who it has to be."""

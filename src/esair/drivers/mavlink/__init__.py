@@ -33,6 +33,7 @@ import functools
 import math
 import re
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, ClassVar, Final, Unpack
 from xml.etree import ElementTree
@@ -159,6 +160,8 @@ def _position(told: Any) -> Position | None:
     )
 
 
+_turned = attrgetter("roll", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed")
+
 READS: Final[Mapping[str, tuple[type, Callable[[Any], Any]]]] = {
     "HEARTBEAT": (
         Heartbeat,
@@ -169,17 +172,7 @@ READS: Final[Mapping[str, tuple[type, Callable[[Any], Any]]]] = {
             told.type,
         ),
     ),
-    "ATTITUDE": (
-        Attitude,
-        lambda told: Attitude(
-            told.roll,
-            told.pitch,
-            told.yaw,
-            told.rollspeed,
-            told.pitchspeed,
-            told.yawspeed,
-        ),
-    ),
+    "ATTITUDE": (Attitude, lambda told: Attitude(*_turned(told))),
     "GLOBAL_POSITION_INT": (Position, _position),
 }
 """What a reading of a message is; that of each other one is a dictionary."""

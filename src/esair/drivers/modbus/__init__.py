@@ -193,10 +193,8 @@ class _OnUnit(Resource):
                 raise DeviceFaultError(self.name, "its answer has no bit")
             return bool(answer.bits[0])
         if len(answer.registers) != self._size:
-            raise DeviceFaultError(
-                self.name,
-                f"its answer has {len(answer.registers)} registers, not {self._size}",
-            )
+            told = f"its answer has {len(answer.registers)} registers, not {self._size}"
+            raise DeviceFaultError(self.name, told)
         number: Any = ModbusClientMixin.convert_from_registers(
             answer.registers, self._type, word_order=self.word_order
         )

@@ -377,10 +377,8 @@ class OdriveState(_OnAxis, Sensor[AxisReading]):
                     yield AxisReading(
                         position, velocity, heartbeat.state, heartbeat.error_names
                     )
-        raise DeviceLostError(
-            self.name,
-            f"no heartbeat of node {self.node} for {self.heartbeat_timeout:g} s",
-        )
+        told = f"no heartbeat of node {self.node} for {self.heartbeat_timeout:g} s"
+        raise DeviceLostError(self.name, told)
 
 
 class OdriveAxis(_OnAxis, Actuator[float]):
