@@ -21,6 +21,7 @@ from esair.buses import SerialBus
 from esair.exceptions import DeviceFaultError, DeviceLostError, DriverStuckError
 from esair.framing import ModbusRtu, ModbusTcp
 from esair.messages import ResourceState
+from esair.plan import examine
 from esair.testing import (
     ActuatorContract,
     BusContract,
@@ -498,3 +499,18 @@ async def test_a_unit_behind_a_gateway_is_there_soon_after_its_power(
             while ResourceState.READY in states():  # noqa: ASYNC110
                 await asyncio.sleep(0.02)
     assert len(delays) == 100
+
+
+@pytest.mark.promise("BUS-5")
+@pytest.mark.parametrize(("framing", "is_found"), [(RTU, True), (TCP, False)])
+def test_a_request_its_answer_and_their_silence_take_their_time(
+    framing: str, is_found: bool
+) -> None:
+    """Ten registers at 5 Hz are more than 9600 bits a second carry."""
+    line = SerialBus(name="plc", port="/dev/ttyS9", baudrate=9600, framing=framing)
+    sensors = [
+        ModbusSensor(name=f"s{n}", unit=3, register=n, rate=5.0, bus=line)
+        for n in range(10)
+    ]
+    found = examine(esair.Robot(resources=sensors).plan)
+    assert any(each.rule == "load" for each in found) is is_found

@@ -61,6 +61,7 @@ from esair.exceptions import (
     DriverStuckError,
 )
 from esair.loop import SAFE, Urgency, urgency
+from esair.plan import examine
 from esair.testing import ActuatorContract, BusContract, SensorContract
 
 RELEASE = Goal(mode=Mode.RELEASE)
@@ -993,3 +994,13 @@ async def test_what_is_urgent_waits_for_no_silent_servos() -> None:
     assert not asking.done()
     await asking
     await bus.close()
+
+
+@pytest.mark.promise("BUS-5")
+@pytest.mark.parametrize(("baudrate", "is_found"), [(57_600, True), (1_000_000, False)])
+def test_more_than_the_line_can_carry_is_found(baudrate: int, is_found: bool) -> None:
+    """Ten positions at 50 Hz are 110 kbit/s; at the speed that servos come with it is 58."""
+    bus = ServoBus(name="arm", port="/dev/ttyS9", baudrate=baudrate)
+    places = [ServoPosition(name=f"p{n}", id=n, bus=bus) for n in range(10)]
+    found = examine(esair.Robot(resources=places).plan)
+    assert any(each.rule == "load" for each in found) is is_found

@@ -140,6 +140,8 @@ class _OnUnit(Resource):
         self.is_bit: bool = table in {"coil", "discrete"}
         self._type = _KINDS[type]
         self._decoder = DecodePDU(False)
+        if isinstance(self.bus.framing, ModbusRtu):
+            self.traffic: int = 20 + 2 * self._size  # with the silence around it
 
     @property
     def value_type(self) -> Any:
@@ -226,7 +228,8 @@ class ModbusSensor(_OnUnit, Sensor[Any]):
         word_order: Which register of several comes first: that of the high word with
             ``"big"``.
         factor: What the number is multiplied with, to come to its unit.
-        timeout: How long the unit may take to answer, in seconds.
+        timeout: How long the unit may take to answer, in seconds. One that is silent keeps
+            all others on the bus for as long, from a stop too.
     """
 
     async def open(self) -> None:

@@ -121,6 +121,7 @@ class Mpu6050(OnChip, Sensor[Motion]):
         2, unit="g", choices=(2, 4, 8, 16), doc="the hardest push it measures"
     )
     deadline: float = 0.5
+    traffic: int = 1 + _BLOCK.size
 
     def __init__(
         self, *, address: int = ADDRESS, **settings: Unpack[_Settings]

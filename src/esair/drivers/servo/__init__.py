@@ -135,6 +135,7 @@ class _OnServo(Resource):
     """What all that is on a servo has in common."""
 
     bus: ServoBus
+    traffic: int = 24  # its place in a request for all, and its answer
 
     def __init__(
         self,
