@@ -582,6 +582,19 @@ def test_the_command_line_says_what_it_wrote(tmp_path, capsys) -> None:
     assert "behavior.explore" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("seconds", ["nan", "inf", "-1", "0"])
+@pytest.mark.parametrize("word", ["run board", "deploy board", "monitor"])
+def test_no_time_at_all_is_told(word, seconds, capsys) -> None:
+    """It was a traceback, or a run of two steps."""
+    from esair.cli import main
+
+    with pytest.raises(SystemExit) as caught:
+        main(["min", *word.split(), f"--seconds={seconds}"])
+    assert caught.value.code == 2
+    expected = f"--seconds: expected seconds > 0, not {seconds}"
+    assert expected in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("line", "reason"),
     [

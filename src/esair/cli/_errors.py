@@ -139,9 +139,9 @@ def counted(number: int, word: str) -> str:
     return f"{number} {word}" if number == 1 else f"{number} {word}s"
 
 
-def wrong_seconds(seconds: float | None) -> bool:
-    """Say what is wrong with ``--for``; return whether something is."""
+def wrong_seconds(seconds: float | None, option: str = "--for") -> bool:
+    """Say what is wrong with how long it takes; return whether something is."""
     wrong = seconds is not None and not 0 < seconds < float("inf")
     if wrong:
-        tell(f"--for: expected seconds > 0, not {seconds:g}")
+        tell(f"{option}: expected seconds > 0, not {seconds:g}")
     return wrong

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from esair.cli._errors import CANNOT_USE, wrong_seconds
 from esair.exceptions import ConfigError
 from esair.firmware import Built, run_folder
 from esair.firmware import build as build_files
@@ -91,6 +92,8 @@ def run(folder: Path, /, *, seconds: float = 5.0) -> int:
         folder: What esair min build has written.
         seconds: How long it runs.
     """
+    if wrong_seconds(seconds, "--seconds"):
+        return CANNOT_USE
     trial = run_folder(folder, seconds=seconds, show=True)
     told = [*trial.faults]
     if trial.late:
@@ -112,6 +115,8 @@ def deploy(folder: Path, /, *, port: str = "auto", seconds: float = 20.0) -> int
         port: The board's serial port, a path or usb:...; the only one at USB if not said.
         seconds: How long to wait for the board after its reset.
     """
+    if wrong_seconds(seconds, "--seconds"):
+        return CANNOT_USE
     done = deploy_files(folder, port=port, seconds=seconds, say=_say)
     size = sum(done.files.values()) / 1000
     _say(f"{len(done.files)} files, {size:.1f} KB, are on the board: {done.ready}")
@@ -126,6 +131,8 @@ def monitor(*, port: str = "auto", seconds: float | None = None) -> int:
         port: The board's serial port, a path or usb:...; the only one at USB if not said.
         seconds: How long; until Ctrl-C if not said.
     """
+    if wrong_seconds(seconds, "--seconds"):
+        return CANNOT_USE
     monitor_board(port, _say, seconds=seconds)
     return 0
 
