@@ -177,3 +177,17 @@ def test_parts_are_counted_together() -> None:
         lambda _, error: found.append(error.reason),
     ).program()
     assert found == ["at most 200 parts, and 1000 steps a second"]
+
+
+def test_names_differ_in_more_than_case() -> None:
+    """C tells the parts apart by words in capitals; a sensor has others than a wheel."""
+    found = []
+    Wiring(
+        [],
+        [robots.Given(name, 1.0) for name in ("sonar", "Sonar", "wheel")],
+        [robots.Told(name, 0.0) for name in ("sonar", "Wheel")],
+        50,
+        True,
+        lambda _, error: found.append(error.reason),
+    ).program()
+    assert found == ["the names sonar and Sonar: C writes both SONAR: take another"]

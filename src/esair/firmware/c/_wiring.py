@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.resources
+import itertools
 import math
 import re
 import string
@@ -86,10 +87,16 @@ class Wiring:
             "output": [*map(self._output_row, self._outputs)],
         }
         gap, odd = divmod(1_000_000, self._loop.every)
-        parts = len(self._inputs) + len(self._outputs) + len(self._tasks)
-        if parts > 200 or gap == 0:
+        names = [task.name for task in self._tasks]
+        parts = [*self._inputs], [*self._outputs], names
+        if sum(map(len, parts)) > 200 or gap == 0:
             error = RefusedError("at most 200 parts, and 1000 steps a second")
             self._refuse(self._loop, error)
+        for alike in parts:
+            for one, other in itertools.combinations(alike, 2):
+                if one.upper() == other.upper():
+                    told = f"the names {one} and {other}: C writes both {one.upper()}: "
+                    self._refuse(self._loop, RefusedError(told + "take another"))
         said = "\n".join(self._lines)
         robot = self._types.functions + [
             text.replace("@", name)
@@ -113,7 +120,6 @@ class Wiring:
             robot="\n".join(robot),
             armed=_c(self._armed),
         )
-        names = [task.name for task in self._tasks]
         return Program(self._types, self._inputs, self._outputs, names, source, floats)
 
     def _all(
