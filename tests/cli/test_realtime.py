@@ -3,11 +3,13 @@
 import os
 import re
 import signal
+import sys
 import time
 from pathlib import Path
 
 import pytest
 
+from esair.cli import _measure
 from esair.cli._measure import BINS, Late
 from esair.loop import refusal
 
@@ -157,3 +159,13 @@ def test_measure_moves_no_hardware_unless_it_is_told(
 )
 def test_what_cannot_be_measured_is_refused(robot, esair_command, words) -> None:
     assert esair_command("measure", robot(), *words) in {1, 2}
+
+
+def test_a_picture_that_cannot_be_drawn_is_told_before(
+    robot, esair_command, capsys, monkeypatch
+) -> None:
+    """Nobody waits for a measurement whose picture needs what is not installed."""
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setattr(_measure, "busy", pytest.fail)
+    assert esair_command("measure", robot(), "--out", "m.png") == 2
+    assert "esair[sim]" in capsys.readouterr().err

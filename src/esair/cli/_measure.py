@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import attrs
 from cyclopts import Parameter
@@ -26,6 +26,9 @@ from esair.cli._errors import CANNOT_USE, tell, wrong_seconds
 from esair.cli._log import shown_log
 from esair.cli._options import MaybeNamed, Out
 from esair.loop import PRIORITY, Job, Scheduler, TurnLoop, check_priority, refusal
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 BINS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, float("inf"))
 """Up to how many milliseconds late a line of the histogram is."""
@@ -83,6 +86,7 @@ def measure(
         tell(f"not in real time: {refused}")
     else:
         ways.append((f"--realtime={priority}", priority))
+    figure = None if out is None else _figure()  # told before it measures
     found = []
     with busy(load), shown_log(verbose=False):
         for title, way in ways:
@@ -97,8 +101,9 @@ def measure(
     console.print(_table(found))
     for told in about_computer():
         console.print(told, soft_wrap=True)
-    if out is not None:
-        _draw(found, out, f"{described.name}, {load} busy processes")
+    if out is not None and figure is not None:
+        _draw(figure, found, f"{described.name}, {load} busy processes")
+        figure.savefig(out, dpi=120)
         console.print(str(out))
     return 0
 
@@ -229,10 +234,13 @@ def _text(path: Path) -> str:
         return ""
 
 
-def _draw(found: Sequence[Late], target: Path, title: str) -> None:
+def _figure() -> Figure:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9, 5))
+    return Figure(figsize=(9, 5))
+
+
+def _draw(figure: Figure, found: Sequence[Late], title: str) -> None:
     axes = figure.subplots()
     for late in found:
         told = f"{late.title}: p99 {late.share(0.99):.2f} ms, {late.lost} lost"
@@ -243,4 +251,3 @@ def _draw(found: Sequence[Late], target: Path, title: str) -> None:
         xscale="log", yscale="log", xlabel="late (ms)", ylabel="steps", title=title
     )
     axes.legend()
-    figure.savefig(target, dpi=120)
