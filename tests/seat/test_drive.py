@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import attrs
 import pytest
@@ -262,6 +263,17 @@ def test_a_line_of_wide_letters_does_not_wrap(capsys, monkeypatch):
     line = capsys.readouterr().out.removeprefix("\r\x1b[K")
     assert line.startswith("refused by fence")
     assert cell_len(line) <= 19
+
+
+@pytest.mark.promise("OPS-4")
+def test_how_to_go_on_fits_into_60_columns(capsys, monkeypatch):
+    """After a lease has lapsed a narrow terminal says all of it, the key to leave too."""
+    monkeypatch.setenv("COLUMNS", "60")
+    client = SimpleNamespace(lines=lambda _: [{"lapsed": 1}])
+    wheel = _Wheel(client, "front_left_wheel", 0.3, 0.5)  # type: ignore[arg-type]
+    wheel._lease = {"lease": 1}
+    wheel._hear()
+    assert "space stops, q leaves" in capsys.readouterr().out
 
 
 class Terminal:

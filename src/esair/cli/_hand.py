@@ -32,7 +32,7 @@ ANSWER: Final = b"\x1b[0n"
 
 ASKED: Final = 32  # How many answers a terminal may owe until it is asked no more
 
-HOW: Final = "hold a key to drive; space stops, q leaves"
+HOW: Final = "hold a key; space stops, q leaves"
 
 KEYS: Final[Mapping[bytes, tuple[int, int]]] = {
     b"\x1b[A": (1, 0),
@@ -241,7 +241,7 @@ class _Wheel:
                 self._ask(found["beat"])
             elif self._lease and found.get("lapsed") == self._lease["lease"]:
                 self._lease = self._beat = None
-                self._show(f"{self._actuator} is released; let go, and {HOW}")
+                self._show(f"released: let go, {HOW}")
             elif found.get("id") == self._sent and "ok" in found:
                 if not found["ok"]:
                     self._show(str(found["error"]["text"]))
