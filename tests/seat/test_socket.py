@@ -380,6 +380,15 @@ async def test_a_slow_client_gets_the_newest_only(rover, raw):
         lazy.close()
 
 
+@pytest.mark.promise("OPS-1", "TURN-5")
+async def test_who_looks_does_no_act(rover, raw):
+    """The counter of acts is of what was done to the robot."""
+    async with rover() as robot, raw() as client:
+        for number, act in enumerate(("status", "stop", "status")):
+            assert (await client.do(str(number), act))["ok"]
+        assert robot.journal.counts()["operator"]["acts"] == 1
+
+
 @pytest.mark.promise("OPS-1", "TURN-4")
 async def test_who_looks_without_end_does_not_hold_the_loop(rover, raw):
     """What comes at once is done for some, and refused to the rest: each has an answer."""

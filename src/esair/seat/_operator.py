@@ -103,6 +103,7 @@ class Waiting(NamedTuple):
     """An act that has been given and has not begun."""
 
     session: Session
+    act: Act
     fields: dict[str, Any]
     outcome: asyncio.Future[Any]
 
@@ -135,7 +136,7 @@ class Console:
             tuple[str, str], tuple[Act, asyncio.Future[Any]]
         ] = collections.OrderedDict()
         self._typed = itertools.count(1)
-        self.done: int = 0  # How many acts were done
+        self.done: int = 0  # How many acts were done; who looks does none
         self.refused: int = 0  # How many were not
         self.again: int = 0  # How many came again with the same id: done once
         robot.journal.count("operator", lambda: [(self.name, self.counts())])
@@ -184,14 +185,12 @@ class Console:
             while len(self._outcomes) > OUTCOMES:
                 self._outcomes.popitem(last=False)
         session.busy += 1
-        waiting = Waiting(session, fields, outcome)
+        waiting = Waiting(session, act, fields, outcome)
         if act.looks or current_owner() is not None:
             # Looking changes nothing, and what a component types repeats by itself.
-            self._loop.call_soon(
-                self._context.run, self._do, act, waiting, message.until
-            )
+            self._loop.call_soon(self._context.run, self._do, waiting, message.until)
         else:
-            self._give(act, waiting, message.until)
+            self._give(waiting, message.until)
         return outcome
 
     async def do(self, act: str, fields: dict[str, Any], session: Session) -> Any:
@@ -358,9 +357,9 @@ class Console:
         outcome.add_done_callback(lambda done: done.cancelled() or done.exception())
         return outcome
 
-    def _give(self, act: Act, waiting: Waiting, until: float | None) -> None:
+    def _give(self, waiting: Waiting, until: float | None) -> None:
         """Bring an act in from outside, by the one door."""
-        session, fields, _ = waiting
+        session, act, fields, _ = waiting
         if session.hand is not None and not session.number:
             session.number = next(self._numbers)
             self._sessions[session.number] = session
@@ -392,17 +391,18 @@ class Console:
                 Session(given.who, drives=given.drives, number=given.session),
             )
             session.busy += 1
-            waiting = Waiting(session, given.fields, self._outcome())
-        self._context.run(self._do, ACTS[given.act], waiting, given.until)
+            act = ACTS[given.act]
+            waiting = Waiting(session, act, given.fields, self._outcome())
+        self._context.run(self._do, waiting, given.until)
 
     def _hear_leave(self, number: int) -> None:
         session = self._sessions.pop(number, None)
         if session is not None:
             self.leases.end_all(session)
 
-    def _do(self, act: Act, waiting: Waiting, until: float | None) -> None:
+    def _do(self, waiting: Waiting, until: float | None) -> None:
         """Do an act, in the turn that is its own."""
-        session, fields, _ = waiting
+        session, act, fields, _ = waiting
         if until is not None and self._time() > until:
             late = self._time() - until
             error = BehaviorUnavailableError("operator", act.name, late, "too late")
@@ -465,7 +465,7 @@ class Console:
         if outcome.done():
             return
         if error is None:
-            self.done += 1
+            self.done += not waiting.act.looks
             outcome.set_result(result)
             return
         self.refused += 1
