@@ -72,7 +72,6 @@ class TestFileSonar(SensorContract):
 
 
 @pytest.mark.placements
-@pytest.mark.virtual_clock
 def test_what_the_rulebook_refuses_is_skipped_with_its_reason(place: Any) -> None:
     """An actuator stays where its safe command is: as a task it is no matter."""
     from esair.testing import FakeActuator

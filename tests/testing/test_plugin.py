@@ -99,6 +99,16 @@ def test_who_would_not_run_on_the_virtual_clock_fails(outcomes, head, mode) -> N
     assert outcomes(source, "-o", f"asyncio_mode={mode}") == {"errors": 1}
 
 
+def test_a_plain_test_is_told_that_it_has_no_virtual_clock(outcomes, capsys) -> None:
+    """It would wait in real time; beside asynchronous ones in a class it may stand."""
+    plain = "@pytest.mark.virtual_clock\ndef test_it():\n    pass\n"
+    assert outcomes(plain) == {"errors": 1}
+    assert "only async def runs" in capsys.readouterr().out
+
+    module = "pytestmark = pytest.mark.virtual_clock\ndef test_it():\n    pass\n"
+    assert outcomes(module) == {"passed": 1}
+
+
 CASE = """
 import unittest
 
