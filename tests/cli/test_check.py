@@ -1,5 +1,6 @@
 """``esair check``: every mistake at once, and how each actuator is made safe."""
 
+import importlib.util
 import json
 import sys
 
@@ -92,6 +93,43 @@ def findings(robot_file, esair_command, capsys):
         }
 
     return check
+
+
+def test_a_package_that_is_not_here_is_found(findings, monkeypatch) -> None:
+    """What imports it late is found, too; a robot starts without a device, no more."""
+    here = importlib.util.find_spec
+    missing = {"foxglove", "gpiod", "spidev", "uvicorn", "zenoh"}
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda n: None if n in missing else here(n)
+    )
+    found = findings("""
+[record]
+path = "run.mcap"
+[page]
+[network]
+listen = ["tcp/127.0.0.1:7447"]
+insecure = true
+sim = {}
+[bus.chips]
+type = "spi"
+bus = 0
+[sensor.button]
+driver = "gpio"
+chip = "gpiochip0"
+line = 17
+sim = { driver = "{m}:Sonar" }
+""")
+    told = {key: each for (key, rule), each in found.items() if rule == "package"}
+    assert {key for key, each in told.items() if each[0] == "error"} == {
+        "record",
+        "page",
+        "network",
+    }
+    assert {key for key, each in told.items() if each[0] == "warning"} == {
+        "bus.chips",
+        "sensor.button",
+    }
+    assert "pip install 'esair[net]'" in told["network"][1]
 
 
 def test_a_sound_robot_has_no_errors(robot_file, esair_command, capsys) -> None:

@@ -101,7 +101,8 @@ def to_json(report: Report) -> dict[str, Any]:
             severity         "error" | "warning"
             rule             "configuration" | "declaration" | "name" | "claim" |
                              "need" | "denied" | "rights" | "time" | "silent" |
-                             "protect" | "starve" | "unused" | "port" | "peer"
+                             "protect" | "starve" | "unused" | "port" | "peer" |
+                             "package"
             key              string: dotted path in the file; "" for the whole
             line             integer, from 1 | null
             message          string

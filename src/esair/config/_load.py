@@ -6,10 +6,10 @@ import importlib
 import importlib.util
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TypeVar, overload
+from typing import Any, Final, TypeVar, overload
 
 import attrs
 
@@ -30,6 +30,15 @@ from esair.messages import BehaviorsPolicy, Policy
 from esair.plan import Protection, examine, failures, protection
 from esair.resources import Resource
 from esair.standard import Robot, RunWanted, only_looking
+
+OPENED: Final = {
+    "record": ("foxglove", "record"),
+    "page": ("uvicorn", "page"),
+    "network": ("zenoh", "net"),
+    "gpio": ("gpiod", "gpio"),
+    "spi": ("spidev", "spi"),
+}
+"""The package and the extra of what imports its package when it is opened, not before."""
 
 
 def is_of_module(target: str) -> bool:
@@ -280,8 +289,8 @@ class FoundInFile:
 
     Attributes:
         severity: ``"error"`` or ``"warning"``.
-        rule: Which rule found it: ``configuration`` (a key is wrong), or one of
-            those of `esair.plan.Finding`.
+        rule: Which rule found it: ``configuration`` (a key is wrong), ``package`` (one
+            is not installed here), or one of those of `esair.plan.Finding`.
         key: The key, as a dotted path; empty for the whole file.
         line: The line, counted from 1; None if it is not known.
         message: What is wrong, and what to do.
@@ -452,4 +461,22 @@ def _found(draft: Draft, robot_class: type) -> list[FoundInFile]:
         )
         for finding in findings
     ]
-    return found
+    return found + [
+        FoundInFile(severity, "package", key, mistakes.lines.of(key), told)
+        for severity, key, told in _not_installed(draft)
+    ]
+
+
+def _not_installed(draft: Draft) -> Iterator[tuple[str, str, str]]:
+    """Return what needs a package that is not here: without a device a robot starts."""
+    words: dict[str, object] = {key: key for key in OPENED if key in draft.source.data}
+    if not draft.simulated:
+        for key in (each.key for each in draft.parts):
+            value = draft.source.value
+            words[key] = value(f"{key}.driver") or value(f"{key}.type")
+    for key, word in words.items():
+        package, extra = OPENED.get(str(word), ("", ""))
+        if package and importlib.util.find_spec(package) is None:
+            told = f"it needs {package!r}, which is not installed here"
+            severity = "error" if key == word else "warning"
+            yield severity, key, f"{told}: pip install 'esair[{extra}]'"
