@@ -40,6 +40,22 @@ def test_recovery_writes_through_no_link(cut: Path, name: str) -> None:
     assert found.path.stat().st_mode & 0o777 == 0o600
 
 
+@pytest.mark.parametrize("kind", ["pipe", "folder", "of a process"])
+def test_what_is_no_file_stays_what_it_is(tmp_path: Path, kind: str) -> None:
+    """Of root ``-o /dev/null`` and ``-o /dev/stdout`` made a file of the device."""
+    place = tmp_path / "place"
+    if kind == "of a process":  # as /dev/stdout, which may lead to a file
+        place.symlink_to("/proc/self/exe")
+    else:
+        (os.mkfifo if kind == "pipe" else os.mkdir)(place)
+    before = place.lstat()
+
+    with pytest.raises(FileExistsError, match="expected a file"), replaced(place):
+        pass
+    assert place.lstat() == before
+    assert list(tmp_path.iterdir()) == [place]
+
+
 def test_what_fails_leaves_nothing_behind(tmp_path: Path) -> None:
     """Neither a half of the new file, nor a descriptor."""
     before = len(os.listdir("/proc/self/fd"))

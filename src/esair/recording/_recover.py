@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 import stat
@@ -99,8 +100,15 @@ def replaced(path: Path) -> Iterator[BinaryIO]:
     """Write a file under another name first; it is there as a whole or not at all.
 
     It is this user's alone, and whatever had its name is replaced, never written to: a
-    link that somebody has put there leads nowhere.
+    link that somebody has put there leads nowhere. A device or a pipe stays what it is.
+
+    Raises:
+        OSError: There is something else than a file, or the folder cannot be used.
     """
+    of_process = path.is_symlink() and os.readlink(path).startswith("/proc/")
+    if of_process or (path.exists() and not path.is_file()):
+        told = "expected a file, not a device, pipe or folder"
+        raise FileExistsError(errno.EEXIST, told, str(path))
     folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     partial = f".{path.name}.{os.urandom(6).hex()}.part"
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
