@@ -746,6 +746,25 @@ async def test_typed_digits_are_a_text_where_only_a_text_is_taken(rover, raw):
         assert done["result"] == "'5678' '12' 3"
 
 
+class Knock(esair.Request[str]):
+    """Nobody has written ``@attrs.frozen`` above it: in Python it works all the same."""
+
+
+class Porch(esair.Behavior):
+    @esair.answers
+    async def knocked(self, request: Knock) -> str:
+        return "come in"
+
+
+@pytest.mark.promise("OPS-2")
+async def test_a_request_that_cannot_be_typed_says_what_it_lacks(rover, raw):
+    """Its class has to say what its fields are, also if there are none."""
+    async with rover(Porch()) as robot, raw() as client:
+        assert await robot.behaviors.ask(Knock(), sender="user", receiver="porch")
+        told = await client.do("1", "ask", receiver="porch", request="Knock")
+        assert "write @attrs.frozen above class Knock" in told["error"]["text"]
+
+
 class Listens(esair.Behavior):
     def __init__(self, **options) -> None:
         super().__init__(**options)

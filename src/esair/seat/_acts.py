@@ -302,7 +302,10 @@ async def _ask(
     if kind is None:
         hint = hint_for(request, sorted(takes), "it takes")
         raise RefusedError(f"it takes no {request:.80}{hint}", receiver)
-    known = fields_of(kind) or {}
+    known = fields_of(kind)
+    if known is None:
+        told = f"expected fields to type: write @attrs.frozen above class {request}"
+        raise BadValueError(receiver, "request", told)
     fields = {
         key: as_text(value, known[key].kind) if key in known else value
         for key, value in fields.items()
