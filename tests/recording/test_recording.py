@@ -609,3 +609,19 @@ def test_it_is_told_where_it_records(
     with caplog.at_level(logging.INFO, "esair"):
         esair.run(robot, duration=0.05)
     assert f"recording: {tmp_path / 'run-2.mcap'}" in caplog.messages
+
+
+@pytest.mark.promise("REC-2")
+@pytest.mark.real_clock
+def test_the_wall_clock_is_told_as_it_is_amid_a_turn(tmp_path: Path) -> None:
+    """The first turn takes long: all that a robot needs is imported in it."""
+    path = tmp_path / "run.mcap"
+
+    async def main() -> float:
+        time.sleep(0.3)  # noqa: ASYNC251 - what an import takes
+        async with esair.Robot(record=esair.Recording(path)):
+            return time.time() - time.monotonic()
+
+    with asyncio.Runner(loop_factory=esair.new_event_loop) as runner:
+        offset = runner.run(main())
+    assert float(facts_of(path)["clock"]["offset"]) == pytest.approx(offset, abs=0.1)

@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 
 from esair.exceptions import BadValueError, BusyError
 from esair.journal import Event, Kind, Listener
-from esair.loop import clock_of
+from esair.loop import clock_beside
 from esair.recording import Seen, plain, seen_as, size_of
 from esair.seat._leases import Lease
 from esair.seat._operator import Console, Session
@@ -168,7 +168,7 @@ class _View(_Heard):
     word = "message"
 
     def start(self) -> None:
-        self._offset = time.time() - clock_of(asyncio.get_running_loop())()
+        self._offset = time.time() - clock_beside(asyncio.get_running_loop())()
         super().start()
 
     def _hear(self, event: Event) -> None:

@@ -156,7 +156,7 @@ class Keeping:
             journal.count("recording", lambda: [("recording", recorder.counts())])
             if turn_of(loop).repeats:
                 turn_of(loop).keep(recorder.keep_turns())
-            recorder.start(loop.time())
+            recorder.start(turn_of(loop).clock())
             self.recorder = recorder
         except ImportError as error:
             told = f"it needs {error.name}: pip install 'esair[record]'"
