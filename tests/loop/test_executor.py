@@ -286,14 +286,16 @@ async def test_a_lane_serves_one_loop_after_another() -> None:
 @pytest.mark.promise("BUS-1", "BUS-5")
 async def test_no_urgency_makes_a_line_without_an_end() -> None:
     """A command waits where there is room; what makes safe has as much room again."""
-    executor, loop, go = (
-        Executor("bus", limit=3),
-        asyncio.get_running_loop(),
-        threading.Event(),
-    )
+    executor, loop = Executor("bus", limit=3), asyncio.get_running_loop()
+    begun, go = threading.Event(), threading.Event()
     commands, safe = Urgency(COMMAND), Urgency(COMMAND + SAFE)
-    executor.submit(loop, InLine(loop=loop), go.wait)
-    await asyncio.sleep(0.05)  # it is at work, and waits no more
+
+    def work() -> None:
+        begun.set()
+        go.wait()
+
+    executor.submit(loop, InLine(loop=loop), work)
+    assert await asyncio.to_thread(begun.wait, 10.0)  # and it waits no more
 
     def submit(urgent: Urgency) -> None:
         executor.submit(loop, InLine(loop=loop), int, urgent=urgent)
