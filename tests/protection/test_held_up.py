@@ -174,8 +174,10 @@ def test_what_a_stream_brought_meanwhile_is_as_old_as_it_is() -> None:
             for _ in range(4):
                 await asyncio.sleep(0.1)
                 time.sleep(0.3)  # noqa: ASYNC251 - that is the point
+            async with asyncio.timeout(10.0):
+                while len(seen) <= 4:  # noqa: ASYNC110 - the computer may be busy
+                    await asyncio.sleep(0.02)
 
     with asyncio.Runner(loop_factory=esair.new_event_loop) as runner:
         runner.run(main())
-    assert len(seen) > 4
     assert max(seen) < 0.1
