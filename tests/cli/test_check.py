@@ -123,9 +123,9 @@ sim = { driver = "{m}:Sonar" }
     assert {key for key, each in told.items() if each[0] == "error"} == {
         "record",
         "page",
-        "network",
     }
     assert {key for key, each in told.items() if each[0] == "warning"} == {
+        "network",
         "bus.chips",
         "sensor.button",
     }

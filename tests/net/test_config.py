@@ -287,8 +287,8 @@ def test_a_network_whose_package_is_missing_is_a_warning(
     files: Files, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The robot would start without its peers; elsewhere the package may be there."""
-    monkeypatch.setattr("esair.config._network.find_spec", lambda name: None)
-    (found,) = (each for each in check(files.base).findings if each.rule == "peer")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    (found,) = (each for each in check(files.base).findings if each.rule == "package")
     assert (found.severity, found.key, found.line) == ("warning", "network", 5)
     assert "pip install 'esair[net]'" in found.message
 

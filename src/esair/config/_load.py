@@ -18,7 +18,7 @@ from esair.buses import Bus
 from esair.config._classes import searched_first
 from esair.config._draft import Draft
 from esair.config._network import (
-    network_warnings,
+    open_to_all,
     pair_mistakes,
     pair_warnings,
     strangers,
@@ -443,14 +443,16 @@ def _found(draft: Draft, robot_class: type) -> list[FoundInFile]:
             page.tls()
     except ConfigError as error:
         mistakes.caught("page", error, "the page")
+    warned = open_to_all(draft.peers)
     sound = not mistakes.errors and not any(each.is_error for each in findings)
     refused_by_robot(draft, robot_class, sound=sound)
     found = [
         FoundInFile("error", "configuration", error.key, error.line, error.reason)
         for error in mistakes.errors
     ]
-    for key, told in network_warnings(draft.peers):
-        found.append(FoundInFile("warning", "peer", key, mistakes.lines.of(key), told))
+    if warned:
+        line = mistakes.lines.of("network.insecure")
+        found.append(FoundInFile("warning", "peer", "network.insecure", line, warned))
     found += [
         FoundInFile(
             finding.severity.value,
@@ -478,5 +480,5 @@ def _not_installed(draft: Draft) -> Iterator[tuple[str, str, str]]:
         package, extra = OPENED.get(str(word), ("", ""))
         if package and importlib.util.find_spec(package) is None:
             told = f"it needs {package!r}, which is not installed here"
-            severity = "error" if key == word else "warning"
+            severity = "error" if key in ("record", "page") else "warning"
             yield severity, key, f"{told}: pip install 'esair[{extra}]'"

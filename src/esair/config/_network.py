@@ -8,7 +8,6 @@ for each peer, with the peer's name. ROS is one more peer: ``_ros.py``.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from importlib.util import find_spec
 from typing import Any, Final
 
 import attrs
@@ -281,14 +280,12 @@ def add_behavior(draft: Draft, key: str, name: str, made: Any) -> None:
     draft.parts.append(Part("behavior", name, made))
 
 
-def network_warnings(peers: Peers | None) -> Iterator[tuple[str, str]]:
-    """Yield what is not as it should be where the network is: key, and why."""
+def open_to_all(peers: Peers | None) -> str:
+    """Say so if everybody who reaches the network could drive this robot."""
     network = None if peers is None else peers.network
-    if network is not None and find_spec("zenoh") is None:
-        yield "network", "zenoh is not installed here: pip install 'esair[net]'"
-    if network is not None and network.insecure and network.tls is None:
-        told = "everybody who reaches this network can drive this robot: "
-        yield "network.insecure", told + "use [network.tls]"
+    if network is None or not network.insecure or network.tls is not None:
+        return ""
+    return "everybody who reaches this network can drive this robot: use [network.tls]"
 
 
 # Two files of a pair.
