@@ -463,13 +463,11 @@ class BehaviorDeployment:
 
     async def gone(self, name: str) -> None:
         """Wait until a removal of that name that runs is over; others do not wait."""
-        while True:
-            member = self.members.get(name)
-            over = None if member is None else member.over
-            if over is None or over.done():
-                return
+        member = self.members.get(name)
+        while member is not None and member.over and not member.over.done():
             self.commands.changed()
-            await asyncio.wait({over})
+            await asyncio.wait({member.over})
+            member = self.members.get(name)
 
     async def begin(
         self, *members: Member, start: Callable[[Member], None] = Member.start

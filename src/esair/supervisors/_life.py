@@ -267,10 +267,8 @@ _SECOND = 0.04
 
 def living(owner: Owner) -> list[asyncio.Task[Any]]:
     """Return the tasks of an owner that have not ended, without the one that asks."""
-    tasks, me = owner.living(), asyncio.current_task()
-    if me in tasks:
-        tasks.remove(me)
-    return tasks
+    me = asyncio.current_task()
+    return [task for task in owner.living() if task is not me]
 
 
 async def until_ended(tasks: list[asyncio.Task[Any]], grace: float) -> None:

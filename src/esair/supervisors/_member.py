@@ -472,14 +472,12 @@ class Member:
     def stop(self) -> None:
         """Cut it off, whatever it does; its tasks are the caller's to end."""
         self.mail.become(BehaviorState.STOPPING)
-        if self._timer is not None:
-            self._no_restart()
+        self._no_restart()
         self.fence(lambda: UserRemovedError(self.name))
         self.give_up()
         self.crew.mediator.asker_ended(self.mail)
         self.mail.run_over(None)
-        if self.mail.takers:
-            wake(*self.mail.takers)
+        wake(*self.mail.takers)
 
     def stopped(self) -> None:
         """Its tasks have ended, or would not: it is gone."""

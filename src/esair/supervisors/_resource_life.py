@@ -623,8 +623,7 @@ class ResourceLife:
                 self.tried.set_exception(translate(self.name, error))
 
     async def _wait_for_news(self, timeout: float | None) -> BaseException | None:
-        news: asyncio.Future[BaseException | None] = self._loop.create_future()
-        self._news = news
+        self._news = news = self._loop.create_future()
         try:
             await asyncio.wait({news}, timeout=timeout)
         finally:
