@@ -6,7 +6,10 @@ import asyncio
 import contextvars
 import gc
 import signal
+import subprocess
+import sys
 import threading
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -158,3 +161,61 @@ async def test_where_no_signal_is_heard_it_is_said(caplog: Any) -> None:
     async with esair.Robot(name="here"):
         await asyncio.to_thread(asyncio.run, short())
     assert not caplog.records
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("ROB-5")
+async def test_robots_of_several_threads_leave_nothing_behind() -> None:
+    """They begin and end at once, and nobody is forgotten, or watched for ever."""
+
+    class Short(esair.Behavior):
+        async def run(self) -> None:
+            """Be done at once."""
+
+    def some() -> None:
+        for _ in range(4):
+            esair.run(esair.Robot(behaviors=[Short()]))
+
+    await asyncio.gather(*(asyncio.to_thread(some) for _ in range(6)))
+    assert "esair-overseer" not in [each.name for each in threading.enumerate()]
+
+
+OUTLIVED = """
+import asyncio, os, pathlib, signal, sys, threading, time
+import esair
+
+async def longer():
+    async with esair.Robot(name="away"):
+        await asyncio.sleep(0.3)
+
+class Short(esair.Behavior):
+    async def run(self):
+        away.start()
+        await asyncio.sleep(0.1)
+
+away = threading.Thread(target=lambda: asyncio.run(longer()))
+esair.run(esair.Robot(name="here", behaviors=[Short()]))
+away.join()
+files = [open(f"{sys.argv[1]}/{n}", "wb") for n in range(8)]
+try:
+    signal.raise_signal(signal.SIGINT)
+    time.sleep(5)
+except KeyboardInterrupt:
+    print(sum(os.path.getsize(file.name) for file in files))
+"""
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("ROB-5")
+def test_a_robot_of_another_thread_that_ends_last_gives_the_signals_back(
+    tmp_path: Path,
+) -> None:
+    """Ctrl-C interrupts the program again, and no byte of it goes to a file of others."""
+    done = subprocess.run(
+        [sys.executable, "-c", OUTLIVED, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.stdout == "0\n", done.stderr

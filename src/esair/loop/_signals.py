@@ -105,6 +105,7 @@ class SignalDesk:
     """Owns the handlers of the signals for all robots of the process."""
 
     def __init__(self) -> None:
+        self._lock = threading.Lock()  # robots in several threads begin and end at once
         self._watches: tuple[SignalWatch, ...] = ()
         self._before: dict[int, Any] = {}
         self._kicks = Kicks(self._kicked)
@@ -117,9 +118,10 @@ class SignalDesk:
         self._interrupted = False  # whether it has heard of one
 
     def join(self, watch: SignalWatch, *, interrupts: bool) -> bool:
-        if not self._watches:
-            overseer.join(self.look)
-        self._watches = (*self._watches, watch)
+        with self._lock:
+            if not (self._watches or self._before):
+                overseer.join(self.look)
+            self._watches = (*self._watches, watch)
         is_main = threading.current_thread() is threading.main_thread()
         if is_main:
             self._install(interrupts=interrupts)
@@ -129,14 +131,16 @@ class SignalDesk:
 
     def leave(self, watch: SignalWatch) -> None:
         """Tell it no more; the last one puts everything back."""
-        self._watches = tuple([each for each in self._watches if each is not watch])
-        if self._watches:
-            return
-        if threading.current_thread() is threading.main_thread():
-            self._uninstall()
-        self._numbers = itertools.count(1)
-        self._first, self._last_word = 0, math.inf
-        overseer.leave(self.look)
+        with self._lock:
+            self._watches = tuple([e for e in self._watches if e is not watch])
+            if self._watches:
+                return
+            self._numbers = itertools.count(1)
+            self._first, self._last_word = 0, math.inf
+            if threading.current_thread() is threading.main_thread():
+                self._uninstall()
+            if not self._before:  # else the main thread puts that back, at a signal
+                overseer.leave(self.look)
 
     def leave_to(self, handler: Callable[[int, FrameType | None], None]) -> None:
         """Put this in the place of the handlers, not what was there before."""
@@ -212,6 +216,11 @@ class SignalDesk:
         Asyncio's runner hears of the first Ctrl-C alone: at the second it leaves its
         loop, and no stop that has begun goes on.
         """
+        if not self._watches:  # the last one has ended in another thread
+            self._uninstall()
+            overseer.leave(self.look)
+            signal.raise_signal(number)
+            return
         if self._is_the_runners(number):
             if not self._interrupted:
                 self._interrupted = True
@@ -232,7 +241,7 @@ class SignalDesk:
         if self._wake_before >= 0:  # of a loop with handlers of its own
             with contextlib.suppress(OSError):
                 os.write(self._wake_before, data)
-        for number in data:
+        for number in data if self._watches else b"":
             if number in self._before and not self._is_the_runners(number):
                 self._count(number)
 
