@@ -754,9 +754,7 @@ async def run_as_step(
     async def call(method: Callable[[], Any]) -> Any:
         if inspect.iscoroutinefunction(method):
             return await method()
-        way = portal
-        if way is None or way.closed:
-            way = Portal(performer, owner)
+        way = portal if portal and not portal.closed else Portal(performer, owner)
         return await way.run(method)
 
     try:

@@ -221,16 +221,14 @@ class SignalDesk:
             overseer.leave(self.look)
             signal.raise_signal(number)
             return
+        mine = overseer.wake_fd
         if self._is_the_runners(number):
             if not self._interrupted:
                 self._interrupted = True
                 self._runner(number, frame)
                 return
             self._count(number)
-            self._kicks.arm()
-            return
-        current = signal.set_wakeup_fd(overseer.wake_fd, warn_on_full_buffer=False)
-        if current == overseer.wake_fd:
+        elif (current := signal.set_wakeup_fd(mine, warn_on_full_buffer=False)) == mine:
             overseer.drain()
         else:  # somebody else hears the bytes
             signal.set_wakeup_fd(current, warn_on_full_buffer=False)

@@ -516,9 +516,8 @@ class Portal:
         If the waiting task is cancelled the portal is closed and the end is
         awaited; cancel again not to wait for it.
         """
-        loop = self.loop
         owner = self._owner
-        ended: asyncio.Future[Any] = loop.create_future()
+        ended: asyncio.Future[Any] = self.loop.create_future()
 
         def finished(result: Any, error: BaseException | None) -> None:
             owner.threads = tuple(t for t in owner.threads if t is not thread)

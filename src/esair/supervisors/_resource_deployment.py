@@ -473,9 +473,8 @@ class ResourceDeployment:
         stay = [life for name, life in lives.items() if name not in self._departures]
         ends = [self._undeploy(life, closed, until) for life in stay]
         await side_by_side([*ends, *self.commands.left(until)])
-        if lives:
-            ends = [self._undeploy(life, closed, until) for life in lives.values()]
-            await side_by_side(ends)
+        ends = [self._undeploy(life, closed, until) for life in lives.values()]
+        await side_by_side(ends)
         if self.buses:
             await on_buses(self.buses, "close")
         if self._seats is not None:
