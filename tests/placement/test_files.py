@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -241,6 +242,23 @@ def test_a_program_that_is_in_no_file_places_nothing(how: str) -> None:
     )
     assert ended.returncode == 1
     assert "its class is in no file" in ended.stderr
+
+
+@pytest.mark.promise("PLC-1", "RS-8")
+async def test_a_module_that_is_in_no_file_places_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As one that somebody has made of a text: told before the start, too."""
+    cells = ModuleType("cells")
+    monkeypatch.setitem(sys.modules, "cells", cells)
+    text = "import esair\nclass Idle(esair.Behavior):\n  async def run(self): ..."
+    exec(text, vars(cells))
+    idle = cells.Idle()
+    idle.placement = "process"
+    robot = esair.Robot(behaviors=[idle])
+    with pytest.raises(ExceptionGroup) as raised:
+        await robot.__aenter__()
+    assert "its class is in no file" in str(raised.value.exceptions)
 
 
 @pytest.mark.promise("PLC-1", "RS-8")

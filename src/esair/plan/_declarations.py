@@ -726,7 +726,8 @@ def _unnamed(component: Any) -> tuple[str, str, str] | None:
     if found is not type(inner):
         advice = "define it at the top of a module"
         return "placement", f"its class cannot be imported as {module}:{path}", advice
-    if module == SCRIPT and (recipe["file"] or ">")[-1] == ">":  # such as <stdin>
+    no_file = (recipe["file"] or ">")[-1] == ">"  # such as <stdin>
+    if no_file and recipe["within"] == SCRIPT:  # nor does an importer know of it
         return "placement", "its class is in no file", "put it into a module"
     return _of_script(path.partition(".")[0]) if module == SCRIPT else None
 
