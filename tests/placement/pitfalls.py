@@ -228,6 +228,18 @@ class Dies(esair.Behavior):
                 os._exit(3)
 
 
+class Talks(esair.Behavior):
+    """Logs more than is shown, and dies."""
+
+    placement = "process"
+    restart = esair.Restart(max=0)
+
+    async def run(self) -> None:
+        for number in range(300):
+            logging.getLogger("talks").info("word %d", number)
+        os._exit(3)
+
+
 class Falls(esair.Behavior):
     """Dies far below, with others at work, after a word on why."""
 

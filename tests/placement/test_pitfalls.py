@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import signal
 import subprocess
@@ -30,6 +31,7 @@ from tests.placement.pitfalls import (
     Receives,
     Sees,
     TakesApart,
+    Talks,
     Tells,
     Threads,
     Twice,
@@ -285,6 +287,18 @@ async def test_where_it_has_died_is_in_its_error(how: str) -> None:
         told = str(robot.behaviors.query("falls").error)
     assert "culprit" in told
     assert "no such part" in told
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("PLC-3")
+async def test_its_last_words_are_words(caplog: pytest.LogCaptureFixture) -> None:
+    """And no records, as which those come that were too many to be shown."""
+    caplog.set_level(logging.INFO)
+    async with esair.Robot(behaviors=[Talks()]) as robot:
+        await until(lambda: state(robot, "talks") is BehaviorState.FAILED)
+        told = str(robot.behaviors.query("talks").error)
+    assert told.endswith("\nword 298\nword 299")
+    assert "level" not in told
 
 
 @pytest.mark.promise("PLC-4", "SUP-3")

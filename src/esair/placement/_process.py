@@ -68,6 +68,8 @@ FRAMES: Final = 12
 
 _STACK: Final = re.compile(r"^(?:Current t|T)hread 0x.*\n(?:  .*\n)*", re.M)
 
+_TEXT: Final = re.compile(rf'^{RECORD}.*"text": "(.*)"}}$', re.M)  # of a record
+
 LINES: Final = 200
 """How many lines of a child are logged in a second."""
 
@@ -533,10 +535,10 @@ class Words:
         for _ in range(8):
             self._heard()
         told = f"{self._kept}{self._begun.decode(errors='replace')}\n"
+        told = _TEXT.sub(r"\1", told)  # of what was too much to be shown
         words, stacks = _STACK.sub("", told), _STACK.findall(told)[::-1]
-        stacks.sort(
-            key=lambda stack: stack.startswith("Thread")
-        )  # what crashed is first
+        # What crashed is first.
+        stacks.sort(key=lambda stack: stack.startswith("Thread"))
         lines = [line for each in stacks for line in each.splitlines()[:FRAMES]]
         lines.insert(0, words.strip()[-WORDS:])
         return "\n".join(lines).strip()[: 2 * WORDS]
