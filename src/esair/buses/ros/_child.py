@@ -18,7 +18,6 @@ import queue
 import random
 import socket
 import struct
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -178,7 +177,8 @@ class Bridge:
             self.its_run, self.its_beat, self.followed = run, -1, {}
         if beat > self.its_beat:
             self.its_beat, self.heard_at = beat, self.clock()
-        handle = getattr(self, "_" + what, None)
+        # What it does not do itself the graph does: publish, ask, cancel.
+        handle = getattr(self, "_" + what, None) or getattr(self.graph, what, None)
         if handle is not None:
             handle(*parts)
 
@@ -219,12 +219,6 @@ class Bridge:
             else:
                 self.newest[topic] = since, read
 
-    def _publish(self, topic: str, age: float, message: Any) -> None:
-        self.graph.publish(topic, age, message)
-
-    def _ask(self, number: int, name: str, message: Any) -> None:
-        self.graph.call(number, name, message)
-
     def asked(self, name: str, message: Any, end: Any, progress: Any) -> int:
         """Ask the robot; how it ends is told with end(how, value)."""
         number = next(self.numbers)
@@ -243,9 +237,6 @@ class Bridge:
     def _progress(self, number: int, value: Any) -> None:
         if number in self.served:
             self.served[number][1](value)
-
-    def _cancel(self, number: int) -> None:
-        self.graph.cancel(number)
 
     def _pending(self, wanted: list[int]) -> None:
         for number in self.graph.asked.keys() ^ set(wanted):
@@ -489,7 +480,7 @@ class Graph:
                 header.stamp = at
         self.publishers[topic].publish(made)
 
-    def call(self, number: int, name: str, message: Any) -> None:
+    def ask(self, number: int, name: str, message: Any) -> None:
         """Call a service, or send a goal."""
         say, kind, client = self.bridge.say, self._class(name), self.clients[name]
         is_action = self.links[name]["kind"] == "action"
@@ -596,6 +587,12 @@ def graph_of(node: Any) -> dict[str, list[Any]]:
     return found
 
 
+def end(why: str) -> None:
+    """Say why, and end: a lost peer, that begins anew."""
+    os.write(2, why.encode() + b"\n")
+    os._exit(1)
+
+
 def main() -> None:
     """Speak for the robot until that ends."""
     robot = socket.socket(fileno=os.dup(0))
@@ -608,10 +605,6 @@ def main() -> None:
         return unpack(stream.read(struct.unpack(">I", size)[0]))
 
     setup = take()
-
-    def end(why: str) -> None:
-        os.write(2, why.encode() + b"\n")
-        os._exit(1)  # a lost peer, that begins anew
 
     os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"  # 300 in an uint8 would be sent as 44
     import rclpy
@@ -658,6 +651,4 @@ if __name__ == "__main__":
     try:
         main()
     except Exception as error:
-        sys.stderr.write(f"{type(error).__name__}: {error}\n")
-        sys.stderr.flush()
-        os._exit(1)
+        end(f"{type(error).__name__}: {error}")

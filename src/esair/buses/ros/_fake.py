@@ -146,7 +146,7 @@ class _Graph:
     def publish(self, topic: str, _age: float, message: Any) -> None:
         self.ros.published.append((topic, message))
 
-    def call(self, number: int, name: str, message: Any) -> None:
+    def ask(self, number: int, name: str, message: Any) -> None:
         loop = asyncio.get_running_loop()
         work = self._work(number, name, message)
         self.asked[number] = spawn(loop, work, name=f"{name} is served")
