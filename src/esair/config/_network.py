@@ -332,9 +332,7 @@ def pair_warnings(mine: Draft, other: Draft) -> Iterator[tuple[str, str]]:
         if None not in about and _ACCESS[kind] != "ask":
             key = f"remote.{there.me}.{kind}.{name}"
             late = _late_there if kind == "actuator" else _late_here
-            yield from late(key, *about, file, table)
-            if kind == "sensor":
-                yield from _too_old(mine, *about, file)
+            yield from late(key, *about, file, table, mine)
 
 
 def strangers(mine: Draft, others: Iterable[Draft]) -> Iterator[tuple[str, str]]:
@@ -374,7 +372,7 @@ def _every(mine: Any, other: Any, share: _Share) -> float:
 
 
 def _late_here(
-    key: str, mine: Any, other: Any, share: _Share, file: str, table: dict[str, Any]
+    key: str, mine: Any, other: Any, share: _Share, file: str, table: Any, draft: Draft
 ) -> Iterator[tuple[str, str]]:
     if "link_rate" in table and mine.link_rate > share.rate:
         told = f"{file} sends {other.name!r} at {share.rate:g} Hz at most"
@@ -383,12 +381,6 @@ def _late_here(
     if mine.period is not None and mine.period <= every:
         told = f"readings come from {file} every {every:.3g} s only"
         yield f"{key}.period", f"{told}: it is stale in between"
-
-
-def _too_old(
-    draft: Draft, mine: Any, other: Any, share: _Share, file: str
-) -> Iterator[tuple[str, str]]:
-    every = _every(mine, other, share)
     for part in draft.parts:
         needs = getattr(inner_of(part.made), "needs", {}) if part.made else {}
         for attribute, need in needs.items():
@@ -400,7 +392,7 @@ def _too_old(
 
 
 def _late_there(
-    key: str, mine: Any, other: Any, _: _Share, file: str, _table: dict[str, Any]
+    key: str, mine: Any, other: Any, _: _Share, file: str, *_rest: Any
 ) -> Iterator[tuple[str, str]]:
     longest = other.command_timeout
     if is_positive(longest) and mine.command_timeout > longest:
