@@ -21,6 +21,7 @@ from esair.buses._inbox import within
 from esair.buses._link_bus import L, LinkBus
 from esair.exceptions import DeviceLostError
 from esair.loop import turn_of
+from esair.values import check_whole
 
 T = TypeVar("T")
 W = TypeVar("W")
@@ -280,12 +281,15 @@ class PlayedBus(LinkBus[L], Generic[L, C, X]):
         *,
         timeout: float = 0.2,
     ) -> None:
+        name = name or self._medium
         made = {
-            number: self._registers(chip) if isinstance(chip, bytes | Mapping) else chip
+            check_whole(name, "chips", number, 0): (
+                self._registers(chip) if isinstance(chip, bytes | Mapping) else chip
+            )
             for number, chip in (chips or {}).items()
         }
         self.link = self._wire_of(made)
-        super().__init__(name=name or self._medium, timeout=timeout, wire=self.link)
+        super().__init__(name=name, timeout=timeout, wire=self.link)
         self._turns = Exchanges(self)
         self._go = asyncio.Event()
         self._go.set()

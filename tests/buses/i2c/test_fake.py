@@ -12,6 +12,7 @@ import pytest
 from esair.buses._fakes import LOG_LIMIT
 from esair.buses.i2c import Registers
 from esair.exceptions import (
+    ConfigError,
     DeviceFaultError,
     DeviceLostError,
     DriverStuckError,
@@ -157,3 +158,9 @@ async def test_an_unplugged_adapter_cannot_be_opened(fake_i2c, noticed: bool) ->
     await bus.open()
     assert await bus.read(0x10, 0) == b"\x00"
     await bus.close()
+
+
+def test_an_address_that_is_a_text_is_a_mistake() -> None:
+    """As from a file: nobody would ever answer there."""
+    with pytest.raises(ConfigError, match=r"chips: expected 0 or more, not '0x76'"):
+        FakeI2c(chips={"0x76": b"abc"})  # type: ignore[dict-item]
