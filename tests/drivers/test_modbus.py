@@ -18,7 +18,12 @@ from hypothesis import strategies as st
 
 import esair
 from esair.buses import SerialBus
-from esair.exceptions import DeviceFaultError, DeviceLostError, DriverStuckError
+from esair.exceptions import (
+    ConfigError,
+    DeviceFaultError,
+    DeviceLostError,
+    DriverStuckError,
+)
 from esair.framing import ModbusRtu, ModbusTcp
 from esair.messages import ResourceState
 from esair.plan import examine
@@ -499,6 +504,13 @@ async def test_a_unit_behind_a_gateway_is_there_soon_after_its_power(
             while ResourceState.READY in states():  # noqa: ASYNC110
                 await asyncio.sleep(0.02)
     assert len(delays) == 100
+
+
+def test_nobody_answers_for_all_units_of_a_line() -> None:
+    """Behind a gateway 0 is a unit as any other."""
+    ModbusSensor(unit=0, register=0, bus=FakeSerial("cabinet", framing=TCP))
+    with pytest.raises(ConfigError, match="unit: expected 1 to 255, not 0"):
+        ModbusSensor(unit=0, register=0, bus=FakeSerial("plc", framing=RTU))
 
 
 @pytest.mark.promise("BUS-5")

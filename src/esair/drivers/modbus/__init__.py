@@ -126,7 +126,8 @@ class _OnUnit(Resource):
     ) -> None:
         super().__init__(**settings)
         check_bus(self, SerialBus, ModbusRtu, ModbusTcp)
-        self.unit: int = check_whole(self.name, "unit", unit, 0, 255)
+        is_rtu = isinstance(self.bus.framing, ModbusRtu)  # there nobody answers as 0
+        self.unit: int = check_whole(self.name, "unit", unit, int(is_rtu), 255)
         self.register: int = check_whole(self.name, "register", register, 0, 0xFFFF)
         self.table: str = check_choice(self.name, "table", table, self._tables)
         self.kind: Any = check_choice(self.name, "type", type, get_args(Kind))
@@ -140,7 +141,7 @@ class _OnUnit(Resource):
         self.is_bit: bool = table in {"coil", "discrete"}
         self._type = _KINDS[type]
         self._decoder = DecodePDU(False)
-        if isinstance(self.bus.framing, ModbusRtu):
+        if is_rtu:
             self.traffic: int = 20 + 2 * self._size  # with the silence around it
 
     @property
