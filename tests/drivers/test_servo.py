@@ -430,6 +430,44 @@ async def test_one_without_power_does_not_keep_the_others_from_stopping(
 
 
 @pytest.mark.virtual_clock
+@pytest.mark.fault("D30")
+@pytest.mark.parametrize("gone", [1, 3])
+@pytest.mark.parametrize("ago", [0.0, 0.17])
+async def test_nor_from_holding_where_they_are(
+    three: tuple[FakeServos, ServoBus], gone: int, ago: float
+) -> None:
+    """For that they are asked where they are, together; those behind it in the line too."""
+    fakes, bus = three
+    places = [ServoPosition(name=f"p{n}", id=n, bus=bus) for n in (1, 2, 3)]
+    safe = Goal(mode=Mode.HOLD)
+    wheels = [Servo(name=f"w{n}", id=n, bus=bus, safe=safe) for n in (1, 2, 3)]
+
+    class Look(esair.Reaction):
+        p1 = esair.reads(float, optional=True)
+        p2 = esair.reads(float, optional=True)
+        p3 = esair.reads(float, optional=True)
+        w1 = esair.writes(Goal, blind="release", priority=-1)
+
+        def react(self, **_: Any) -> None: ...
+
+    robot = esair.Robot(
+        resources=[*places, *wheels], behaviors=[Look(), Drives(Goal(0.5))]
+    )
+    async with robot:
+        await asyncio.sleep(1.0)
+        del fakes.servos[gone]
+        await asyncio.sleep(ago)
+        before = len(fakes.written)
+        robot.halt("stop")
+        await asyncio.sleep(0.07)
+        told: set[int] = set()
+        for servo, instruction, data in fakes.written[before:]:
+            if instruction in {WRITE, SYNC_WRITE} and data[0] == GOAL_POSITION:
+                told |= {servo} if instruction == WRITE else {*data[4::5]}
+        assert told >= {1, 2, 3} - {gone}
+
+
+@pytest.mark.virtual_clock
 @pytest.mark.fault("D29")
 @pytest.mark.parametrize("kind", [Servo, ServoVelocity])
 async def test_one_that_does_not_answer_is_not_said_to_be_safe(

@@ -328,6 +328,8 @@ class ServoBus(SerialBus):
     """What stands between its id and its error in an answer."""
     _word = 2
     """How many bytes an address and a size have."""
+    _in_turn = True
+    """Whether one answers a request to several after the one before it has."""
 
     def __init__(
         self,
@@ -454,14 +456,10 @@ class ServoBus(SerialBus):
                 self._batches[urgent] = {}
                 # What they are told first: only what they are asked waits for them.
                 for key in sorted(batches, key=lambda key: key[0]):
-                    together = []
-                    for each in batches[key]:
-                        is_alone = len(batches[key]) == 1 or self._owes(each[0])
-                        if is_alone and key[0] is not Kind.TELL:
-                            self._make_alone(key, each)
-                        else:
-                            together.append(each)
-                    await self._make_batch(key, together)
+                    if key[0] is not Kind.TELL and len(batches[key]) == 1:
+                        self._make_alone(key, batches[key][0])
+                    else:
+                        await self._make_batch(key, batches[key])
         finally:
             del self._batches[urgent]
 
@@ -534,7 +532,7 @@ class ServoBus(SerialBus):
         return int.from_bytes(told, "little")
 
     async def _read_all(self, address: int, size: int, servos: tuple[int, ...]) -> Made:
-        request = bytes([SYNC_READ]) + self._at(address, size) + bytes(servos)
+        request = bytes([SYNC_READ]) + self._at(address, size)
         what = f"read {address} of {len(servos)} servos"
         told = await self._exchanged(servos, what, request, to=ALL)
         return {
@@ -586,10 +584,14 @@ class ServoBus(SerialBus):
         told: dict[int, tuple[int, bytes]] = {}
         begin = 1 + len(self._status)
         # Who has not answered is not asked before its answer cannot come any more.
-        asked = servos if answers else (ALL,)
+        asked = (ALL,) if to == ALL else servos
         exchange = self._exchanges.request(*asked, timeout=self.write_timeout)
         exchange.name = what
         async with exchange:
+            if to == ALL and answers:  # some may owe one since they were gathered
+                servos = tuple(each for each in servos if not self._owes(each))
+                request += bytes(servos)
+                answers = bool(servos)
             with self.frames() as inbox:
                 self.framing.reset()  # what has come before is no answer
                 size = self._put(self.framing.encode(bytes([to]) + request), exchange)
@@ -607,7 +609,8 @@ class ServoBus(SerialBus):
                         told[servo] = message[begin], message[begin + 1 :]
             if not answers or len(told) == len(servos):
                 exchange.end()
-            exchange.owe(*[servo for servo in servos if servo not in told])
+            silent = [servo for servo in servos if servo not in told]
+            exchange.owe(*(silent[:1] if self._in_turn else silent))
         return told
 
     async def _open(self) -> None:

@@ -53,6 +53,7 @@ class FeetechBus(ServoBus):
     _framing = FEETECH
     _status = b""
     _word = 1
+    _in_turn = False
 
     def __init__(
         self,
