@@ -12,6 +12,7 @@ from cantools.database.can import Database
 
 from esair.buses import Frame
 from esair.buses.can import FakeCan
+from esair.drivers.dbc import FrameError, MessageCodec
 
 
 class Heard(NamedTuple):
@@ -63,15 +64,11 @@ class FakeDbcNode:
         if self.is_starting:
             return
         for message in self.database.messages:
-            if (message.frame_id, message.is_extended_frame) == (
-                frame.id,
-                frame.extended,
-            ):
+            kind = message.frame_id, message.is_extended_frame
+            if kind == (frame.id, frame.extended):
                 try:
-                    if len(frame.data) != message.length:
-                        raise ValueError("the length is wrong")
-                    signals = message.decode_simple(frame.data, decode_choices=False)
-                except (ValueError, KeyError):
+                    signals = MessageCodec(message).decode(frame.data)
+                except FrameError:
                     self.bad_frames += 1
                 else:
                     self.heard.append(Heard(message.name, signals))
