@@ -15,6 +15,7 @@ import esair.boards.stand_in
 from esair import firmware
 from esair.drivers.board.wire import NAMES
 from esair.exceptions import ConfigError
+from esair.firmware._fit import uneven_rates
 
 ROOT = Path(__file__).parents[2]
 ROVER = ROOT / "examples" / "minimal_rover" / "robot.toml"
@@ -797,6 +798,17 @@ def test_a_rate_that_does_not_fit_the_loops_is_told(tmp_path, capsys) -> None:
         "2 steps apart: take 25 Hz, or --rate 150",
     )
     assert firmware.build(path, tmp_path / "board", rate=60).uneven == ()
+
+
+@pytest.mark.parametrize(("rate", "fits"), [(18.0, "12.5"), (1 / 30, "0.04")])
+def test_the_rate_that_is_told_does_fit(rate, fits) -> None:
+    """A third of 50 Hz is no whole number of millihertz: it was told of itself, too."""
+    part = mock.Mock(key="sensor.sonar", made=mock.Mock(rate=rate))
+    (told,) = uneven_rates([part], 50.0)
+    assert f"take {fits} Hz" in told
+
+    part.made.rate = float(fits)
+    assert [*uneven_rates([part], 50.0)] == []
 
 
 @pytest.mark.promise("MIN-5")

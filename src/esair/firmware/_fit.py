@@ -212,10 +212,11 @@ def uneven_rates(parts: list[Part], rate: float) -> Iterator[str]:
     for key, pace in paces.items():
         if every % pace:
             steps = every // pace
+            even = [each for each in range(1, every + 1) if every % each == 0]
             told = (
                 f"{key}: {pace / 1000:g} Hz does not divide the {rate:g} steps per second: "
                 f"its turns come {steps} or {steps + 1} steps apart: take "
-                f"{rate / round(every / pace):g} Hz"
+                f"{min(even, key=lambda each: abs(each - pace)) / 1000:g} Hz"
             )
             yield told + (f", or --rate {common:g}" if common <= 1000 else "")
 
