@@ -69,15 +69,12 @@ def build(
     )
     Console(highlight=False).print(_files(built))
     compiled = "; compiled files are in compiled/" if built.compiled else ""
-    told = [f"{built.folder} is ready: {built.rate:g} steps per second{compiled}"]
-    if built.trial is None:
-        told.append("not tried: there is no MicroPython here: pip install 'esair[min]'")
-    else:
+    _say(f"{built.folder} is ready: {built.rate:g} steps per second{compiled}")
+    tried = "not tried: there is no MicroPython here: pip install 'esair[min]'"
+    if built.trial is not None:
         used = f"{built.trial.memory / 1000:.1f} of {built.board.memory} KB"
-        told.append(
-            f"it ran in MicroPython; on a {built.board.name} it takes about {used}"
-        )
-    for line in (*told, *built.uneven):
+        tried = f"it ran in MicroPython; on a {built.board.name} it takes about {used}"
+    for line in (tried, *built.uneven):
         _say(line)
     return 0
 
@@ -95,11 +92,9 @@ def run(folder: Path, /, *, seconds: float = 5.0) -> int:
     if wrong_seconds(seconds, "--seconds"):
         return CANNOT_USE
     trial = run_folder(folder, seconds=seconds, show=True)
-    told = [*trial.faults]
-    if trial.late:
-        told.append(f"{trial.late} steps came too late on this computer")
-    told.append(f"{trial.steps} steps, {trial.refused} commands refused")
-    for line in told:
+    late = [f"{trial.late} steps came too late on this computer"] * bool(trial.late)
+    counts = f"{trial.steps} steps, {trial.refused} commands refused"
+    for line in (*trial.faults, *late, counts):
         _say(line)
     return 1 if trial.mistakes else 0
 
