@@ -2,7 +2,7 @@
 
 Each is a plain object that is told the time since its step before, in milliseconds, as
 `Reaction.elapsed_ms` gives it. It asks no clock, so a test needs none, and it decides the
-same in STD, in a replay, on a board with MicroPython and in C.
+same in STD, in a replay and on a board with MicroPython. C knows no such objects.
 
 Whatever comes in, and however long nothing came: what goes out is finite and within its
 limits. A number that is not finite, or beyond ``1e30``, is left out, as if the step had not
