@@ -339,6 +339,15 @@ def test_outside_the_limits_is_refused_by_default(value: float) -> None:
             wanted.checked(value)
 
 
+@pytest.mark.promise("AC-1")
+def test_what_is_hardly_outside_is_told_as_it_is() -> None:
+    """A sum of floats: "expected -0.3 to 0.3, not 0.3" would help nobody."""
+    wanted = check(0.0, limits=(-0.3, 0.3))
+
+    with pytest.raises(esair.BadValueError, match=r"to 0\.3, not 0\.30000000000000004"):
+        wanted.checked(0.1 + 0.2)
+
+
 @pytest.mark.fault("V02")
 @given(st.floats(allow_nan=True, allow_infinity=True))
 def test_a_clamp_is_safe_for_nan(value: float) -> None:

@@ -416,7 +416,8 @@ class CommandCheck:
             if type(value) is int:  # the nearest whole number that lies within
                 near = math.ceil(low) if value < low else math.floor(high)
             if not (self._clamp and low <= near <= high):
-                raise self._bad(field, f"expected {low:g} to {high:g}, not {value:g}")
+                told = str(value).removesuffix(".0")  # with all its digits
+                raise self._bad(field, f"expected {low:g} to {high:g}, not {told:.80}")
             changes[field] = near
         return changed(command, changes)
 
