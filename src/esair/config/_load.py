@@ -352,16 +352,13 @@ def check_together(
     reports = [check(path, robot_class=robot_class) for path in paths]
     if len(paths) < 2:
         return reports
-    drafts = [
-        None
-        if is_of_module(str(path))
-        else make_draft(read_source(path), simulated=False, robot_class=robot_class)
-        for path in paths
-    ]
-    for number, mine in enumerate(drafts):
-        if mine is None:
-            continue
-        others = [each for each in drafts if each is not None and each is not mine]
+    drafts = {
+        number: make_draft(read_source(path), simulated=False, robot_class=robot_class)
+        for number, path in enumerate(paths)
+        if not is_of_module(str(path))
+    }
+    for number, mine in drafts.items():
+        others = [each for each in drafts.values() if each is not mine]
         lines, told = mine.source.mistakes.lines, [("warning", strangers(mine, others))]
         for other in others:
             told.append(("error", pair_mistakes(mine, other)))
@@ -443,33 +440,25 @@ def _found(draft: Draft, robot_class: type) -> list[FoundInFile]:
             page.tls()
     except ConfigError as error:
         mistakes.caught("page", error, "the page")
-    warned = open_to_all(draft.peers)
     sound = not mistakes.errors and not any(each.is_error for each in findings)
     refused_by_robot(draft, robot_class, sound=sound)
-    found = [
+    told = [
+        (each.severity.value, each.rule, draft.key_of(each), each.text)
+        for each in findings
+    ]
+    told += _not_installed(draft)
+    if warned := open_to_all(draft.peers):
+        told.append(("warning", "peer", "network.insecure", warned))
+    return [
         FoundInFile("error", "configuration", error.key, error.line, error.reason)
         for error in mistakes.errors
-    ]
-    if warned:
-        line = mistakes.lines.of("network.insecure")
-        found.append(FoundInFile("warning", "peer", "network.insecure", line, warned))
-    found += [
-        FoundInFile(
-            finding.severity.value,
-            finding.rule,
-            key := draft.key_of(finding),
-            mistakes.lines.of(key),
-            finding.text,
-        )
-        for finding in findings
-    ]
-    return found + [
-        FoundInFile(severity, "package", key, mistakes.lines.of(key), told)
-        for severity, key, told in _not_installed(draft)
+    ] + [
+        FoundInFile(level, rule, key, mistakes.lines.of(key), text)
+        for level, rule, key, text in told
     ]
 
 
-def _not_installed(draft: Draft) -> Iterator[tuple[str, str, str]]:
+def _not_installed(draft: Draft) -> Iterator[tuple[str, str, str, str]]:
     """Return what needs a package that is not here: without a device a robot starts."""
     words: dict[str, object] = {key: key for key in OPENED if key in draft.source.data}
     if not draft.simulated:
@@ -480,5 +469,5 @@ def _not_installed(draft: Draft) -> Iterator[tuple[str, str, str]]:
         package, extra = OPENED.get(str(word), ("", ""))
         if package and importlib.util.find_spec(package) is None:
             told = f"it needs {package!r}, which is not installed here"
-            severity = "error" if key in ("record", "page") else "warning"
-            yield severity, key, f"{told}: pip install 'esair[{extra}]'"
+            level = "error" if key in ("record", "page") else "warning"
+            yield level, "package", key, f"{told}: pip install 'esair[{extra}]'"

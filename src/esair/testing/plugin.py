@@ -82,7 +82,8 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     asynchronous = inspect.iscoroutinefunction(getattr(item, "function", None))
     by_anyio = "anyio_backend" in getattr(item, "fixturenames", ())
     by_asyncio = has_clock(item.config) and item.get_closest_marker("asyncio")
-    if not asynchronous and not by_asyncio and _is_marked(item):
+    plain = not asynchronous and not by_asyncio and on_virtual_clock(item)
+    if plain and any(each.name == "virtual_clock" for each in item.own_markers):
         pytest.fail(
             "on the virtual clock of esair only async def runs: write it before the"
             " test, or take the marker virtual_clock away",
@@ -101,13 +102,6 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
             " asyncio), and take the marker anyio away; or mark it real_clock",
             pytrace=False,
         )
-
-
-def _is_marked(item: pytest.Item) -> bool:
-    """Tell whether a test itself asks for the virtual clock, not its class or module."""
-    return on_virtual_clock(item) and any(
-        mark.name == "virtual_clock" for mark in item.own_markers
-    )
 
 
 @pytest.fixture
