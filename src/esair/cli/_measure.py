@@ -6,13 +6,14 @@ import asyncio
 import bisect
 import contextlib
 import functools
+import importlib
 import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import attrs
 from cyclopts import Parameter
@@ -26,9 +27,6 @@ from esair.cli._errors import CANNOT_USE, tell, wrong_seconds
 from esair.cli._log import shown_log
 from esair.cli._options import MaybeNamed, Out
 from esair.loop import PRIORITY, Job, Scheduler, TurnLoop, check_priority, refusal
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 BINS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, float("inf"))
 """Up to how many milliseconds late a line of the histogram is."""
@@ -86,7 +84,8 @@ def measure(
         tell(f"not in real time: {refused}")
     else:
         ways.append((f"--realtime={priority}", priority))
-    figure = None if out is None else _figure()  # told before it measures
+    if out is not None:
+        importlib.import_module("matplotlib.figure")  # told before it measures
     found = []
     with busy(load), shown_log(verbose=False):
         for title, way in ways:
@@ -101,9 +100,8 @@ def measure(
     console.print(_table(found))
     for told in about_computer():
         console.print(told, soft_wrap=True)
-    if out is not None and figure is not None:
-        _draw(figure, found, f"{described.name}, {load} busy processes")
-        figure.savefig(out, dpi=120)
+    if out is not None:
+        _draw(found, out, f"{described.name}, {load} busy processes")
         console.print(str(out))
     return 0
 
@@ -234,13 +232,10 @@ def _text(path: Path) -> str:
         return ""
 
 
-def _figure() -> Figure:
+def _draw(found: Sequence[Late], target: Path, title: str) -> None:
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(9, 5))
-
-
-def _draw(figure: Figure, found: Sequence[Late], title: str) -> None:
+    figure = Figure(figsize=(9, 5))
     axes = figure.subplots()
     for late in found:
         told = f"{late.title}: p99 {late.share(0.99):.2f} ms, {late.lost} lost"
@@ -251,3 +246,4 @@ def _draw(figure: Figure, found: Sequence[Late], title: str) -> None:
         xscale="log", yscale="log", xlabel="late (ms)", ylabel="steps", title=title
     )
     axes.legend()
+    figure.savefig(target, dpi=120)

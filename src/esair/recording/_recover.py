@@ -100,10 +100,8 @@ def replaced(path: Path) -> Iterator[BinaryIO]:
     """Write a file under another name first; it is there as a whole or not at all.
 
     It is this user's alone, and whatever had its name is replaced, never written to: a
-    link that somebody has put there leads nowhere. A device or a pipe stays what it is.
-
-    Raises:
-        OSError: There is something else than a file, or the folder cannot be used.
+    link that somebody has put there leads nowhere. A device or a pipe stays what it is:
+    that is an `OSError`.
     """
     of_process = path.is_symlink() and os.readlink(path).startswith("/proc/")
     if of_process or (path.exists() and not path.is_file()):
