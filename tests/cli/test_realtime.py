@@ -161,6 +161,15 @@ def test_what_cannot_be_measured_is_refused(robot, esair_command, words) -> None
     assert esair_command("measure", robot(), *words) in {1, 2}
 
 
+def test_a_kind_of_picture_that_there_is_not_is_told_before(
+    robot, esair_command, capsys, monkeypatch
+) -> None:
+    """Its ending says which kind it is."""
+    monkeypatch.setattr(_measure, "busy", pytest.fail)
+    assert esair_command("measure", robot(), "--out", "m.pgn") == 2
+    assert "there is no 'pgn'; did you mean 'png'?" in capsys.readouterr().err
+
+
 def test_a_picture_that_cannot_be_drawn_is_told_before(
     robot, esair_command, capsys, monkeypatch
 ) -> None:

@@ -189,6 +189,7 @@ def test_a_file_that_is_no_recording_is_one_line(verb, tmp_path, capsys) -> None
     [
         (["log", "-c", "weels"], "--component: there is no 'weels'; did you mean 'whe"),
         (["plot", "-c", "gps"], "--component: there is no 'gps'; there are sonar, wh"),
+        (["plot", "-o", "run.pgn"], "--out: there is no 'pgn'; did you mean 'png'?"),
         (["log", "-k", "refusd"], "--kind: there is no 'refusd'; did you mean 'refus"),
     ],
 )

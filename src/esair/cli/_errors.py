@@ -8,6 +8,7 @@ import os
 import sys
 import textwrap
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, TextIO
 
 from esair.config import ConfigFileError
@@ -132,6 +133,14 @@ def has_unknown(option: str, given: Iterable[str], known: Collection[str]) -> bo
             tell(printable(f"{option}: there is no {word!r:.80}{hint}"))
             return True
     return False
+
+
+def is_no_picture(target: Path) -> bool:
+    """Say which pictures can be drawn, if this is none of them; return whether."""
+    from matplotlib.figure import Figure
+
+    kinds = Figure().canvas.get_supported_filetypes()
+    return has_unknown("--out", [target.suffix[1:] or "png"], kinds)
 
 
 def counted(number: int, word: str) -> str:

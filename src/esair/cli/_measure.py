@@ -6,7 +6,6 @@ import asyncio
 import bisect
 import contextlib
 import functools
-import importlib
 import os
 import subprocess
 import sys
@@ -23,7 +22,7 @@ from rich.table import Table
 
 import esair
 from esair import config
-from esair.cli._errors import CANNOT_USE, tell, wrong_seconds
+from esair.cli._errors import CANNOT_USE, is_no_picture, tell, wrong_seconds
 from esair.cli._log import shown_log
 from esair.cli._options import MaybeNamed, Out
 from esair.loop import PRIORITY, Job, Scheduler, TurnLoop, check_priority, refusal
@@ -84,8 +83,8 @@ def measure(
         tell(f"not in real time: {refused}")
     else:
         ways.append((f"--realtime={priority}", priority))
-    if out is not None:
-        importlib.import_module("matplotlib.figure")  # told before it measures
+    if out is not None and is_no_picture(out):  # told before it measures
+        return CANNOT_USE
     found = []
     with busy(load), shown_log(verbose=False):
         for title, way in ways:

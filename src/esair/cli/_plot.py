@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from esair.cli._errors import CANNOT_USE, has_unknown, tell
+from esair.cli._errors import CANNOT_USE, has_unknown, is_no_picture, tell
 from esair.cli._options import Components, Out
 from esair.values import printable
 
@@ -55,6 +55,8 @@ def plot(file: Path, /, *, out: Out = None, component: Components = None) -> int
     from esair.recording import events_of
 
     target = out or file.with_name(f"{file.stem}-plot.png")
+    if is_no_picture(target):
+        return CANNOT_USE
     seen = Seen(component)
     for event in events_of(file):
         seen.take(event)
@@ -143,7 +145,7 @@ class Seen:
         is_news = kind in _MARKED and (kind != "up" or name in self._came_up)
         if is_news and len(self.marks) < MARKS:
             self.marks.append((when, name, kind))
-        if kind == "up" and name in self.named:  # the first one is the start
+        if kind == "up":  # the first one is the start
             self._came_up.add(name)
 
     def _track(self, field: str, when: float, number: float) -> None:
