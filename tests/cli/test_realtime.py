@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from esair.cli import _measure
-from esair.cli._measure import BINS, Late
+from esair.cli._measure import BINS, BUSY, Late
 from esair.loop import refusal
 
 pytestmark = pytest.mark.real_clock
@@ -159,6 +160,18 @@ def test_measure_moves_no_hardware_unless_it_is_told(
 )
 def test_what_cannot_be_measured_is_refused(robot, esair_command, words) -> None:
     assert esair_command("measure", robot(), *words) in {1, 2}
+
+
+def test_a_busy_process_says_nothing_of_ctrl_c() -> None:
+    """The terminal interrupts it, too: its traceback is no word about the robot."""
+    code = BUSY.replace("parent =", "print(flush=True)\nparent =")
+    words = [sys.executable, "-I", "-S", "-c", code]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(words, stdout=pipe, stderr=pipe) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        assert process.communicate(timeout=30.0)[1] == b""
 
 
 def test_a_kind_of_picture_that_there_is_not_is_told_before(

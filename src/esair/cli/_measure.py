@@ -37,9 +37,10 @@ PROBE = 100.0
 """How often is looked where no step of the robot has a rate, in Hz."""
 
 BUSY = (
-    "import os\nparent = os.getppid()\nwhile os.getppid() == parent: sum(range(10_000))"
+    "import os, signal\nsignal.signal(signal.SIGINT, signal.SIG_DFL)\n"
+    "parent = os.getppid()\nwhile os.getppid() == parent: sum(range(10_000))"
 )
-"""What a busy process does, as long as its parent lives."""
+"""What a busy process does, as long as its parent lives; of Ctrl-C it says nothing."""
 
 WIDTH = 16  # of the longest bar
 
