@@ -188,23 +188,18 @@ def _table(found: Sequence[Late]) -> Table:
         table.add_column(late.title)
     counts = [late.counts() for late in found]
     most = max(1, *(max(each) for each in counts))
-    for number in range(len(BINS)):
+    names = [*(f"<= {each:g} ms" for each in BINS[:-1]), f"> {BINS[-2]:g} ms"]
+    for number, name in enumerate(names):
         cells = [
             f"{'█' * -(-WIDTH * each[number] // most):{WIDTH}} {each[number]:7}"
             for each in counts
         ]
-        table.add_row(_up_to(number), *cells, end_section=number == len(BINS) - 1)
+        table.add_row(name, *cells, end_section=name is names[-1])
     for name, part in (("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999), ("worst", 1.0)):
         table.add_row(name, *(f"{late.share(part):.3f} ms" for late in found))
     made = [(late.lost, late.lost + len(late.seconds)) for late in found]
     table.add_row("steps lost", *(f"{lost} of {due}" for lost, due in made))
     return table
-
-
-def _up_to(number: int) -> str:
-    if number == len(BINS) - 1:
-        return f"> {BINS[-2]:g} ms"
-    return f"<= {BINS[number]:g} ms"
 
 
 def about_computer() -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from typing import Any
 
 from rich.console import Console
@@ -20,7 +21,7 @@ def peers(*, robot: Which = None, machine: AsJson = False) -> int:
     Exit code: 0 all of them are heard, 1 one is not.
     """
     with connect(robot) as client:
-        found = of_status(client.do("status"))
+        found = list(of_status(client.do("status")))
     if machine:
         print(json.dumps(found))  # noqa: T201 - this is the output
     else:
@@ -39,23 +40,19 @@ def peers(*, robot: Which = None, machine: AsJson = False) -> int:
     return int(any(each["state"] != "ready" for each in found))
 
 
-def of_status(status: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return what a picture of a robot says of each of its peers."""
+def of_status(status: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield what a picture of a robot says of each of its peers."""
     on_peers = [each for each in status["resources"] if each["medium"] == "PeerBus"]
-    found = []
     for peer in (each for each in on_peers if each["name"] == each["bus"]):
         name, numbers = peer["name"], peer["numbers"]
         used = [each for each in on_peers if each["bus"] == name and each is not peer]
         holds = [each for each in status["resources"] if each.get("holder") == name]
-        found.append(
-            {
-                "name": name,
-                "state": peer["state"],
-                "error": peer["error"],
-                "round_trip": numbers.get("round_trip"),
-                "refused": int(numbers.get("refused", 0)),
-                "used": [f"{each['name']}: {each['state']}" for each in used],
-                "holds": [each["name"] for each in holds],
-            }
-        )
-    return found
+        yield {
+            "name": name,
+            "state": peer["state"],
+            "error": peer["error"],
+            "round_trip": numbers.get("round_trip"),
+            "refused": int(numbers.get("refused", 0)),
+            "used": [f"{each['name']}: {each['state']}" for each in used],
+            "holds": [each["name"] for each in holds],
+        }

@@ -89,16 +89,13 @@ class Track:
         else:
             self._waiting.append((when, value))
             if len(self._waiting) >= self._at_once:
-                self._settle()
+                self.points += _outline(self._waiting)
+                self._waiting = []
         if len(self.points) > POINTS:
             points, self.points = self.points, []
             for place in range(0, len(points), 8):
                 self.points += _outline(points[place : place + 8])
             self._at_once = max(8, 2 * self._at_once)
-
-    def _settle(self) -> None:
-        self.points += _outline(self._waiting)
-        self._waiting = []
 
     def all(self) -> list[tuple[float, float]]:
         """Return what is left of all points."""

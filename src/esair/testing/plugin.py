@@ -82,26 +82,23 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     asynchronous = inspect.iscoroutinefunction(getattr(item, "function", None))
     by_anyio = "anyio_backend" in getattr(item, "fixturenames", ())
     by_asyncio = has_clock(item.config) and item.get_closest_marker("asyncio")
-    plain = not asynchronous and not by_asyncio and on_virtual_clock(item)
-    if plain and any(each.name == "virtual_clock" for each in item.own_markers):
-        pytest.fail(
-            "on the virtual clock of esair only async def runs: write it before the"
-            " test, or take the marker virtual_clock away",
-            pytrace=False,
+    told = ""
+    if on_virtual_clock(item) and asynchronous and (by_anyio or not by_asyncio):
+        told = (
+            "only pytest-asyncio runs a test: pip install 'esair[test]', set"
+            ' asyncio_mode = "auto" (or mark the test asyncio), and take the marker'
+            " anyio away; or mark it real_clock"
         )
-    if asynchronous and on_virtual_clock(item) and (by_anyio or not by_asyncio):
         if issubclass(getattr(item, "cls", None) or object, unittest.TestCase):
-            pytest.fail(
-                "on the virtual clock of esair no unittest.TestCase is run: write a"
-                " plain class; or mark an IsolatedAsyncioTestCase real_clock",
-                pytrace=False,
+            told = (
+                "no unittest.TestCase is run: write a plain class; or mark an"
+                " IsolatedAsyncioTestCase real_clock"
             )
-        pytest.fail(
-            "on the virtual clock of esair only pytest-asyncio runs a test:"
-            " pip install 'esair[test]', set asyncio_mode = \"auto\" (or mark the test"
-            " asyncio), and take the marker anyio away; or mark it real_clock",
-            pytrace=False,
-        )
+    marked = any(mark.name == "virtual_clock" for mark in item.own_markers)
+    if marked and on_virtual_clock(item) and not asynchronous and not by_asyncio:
+        told = "only async def runs: write it, or take the marker virtual_clock away"
+    if told:
+        pytest.fail(f"on the virtual clock of esair {told}", pytrace=False)
 
 
 @pytest.fixture
