@@ -98,7 +98,7 @@ def findings(robot_file, esair_command, capsys):
 def test_a_package_that_is_not_here_is_found(findings, monkeypatch) -> None:
     """What imports it late is found, too; a robot starts without a device, no more."""
     here = importlib.util.find_spec
-    missing = {"foxglove", "gpiod", "spidev", "uvicorn", "zenoh"}
+    missing = {"evdev", "foxglove", "gpiod", "spidev", "uvicorn", "zenoh"}
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda n: None if n in missing else here(n)
     )
@@ -113,11 +113,14 @@ sim = {}
 [bus.chips]
 type = "spi"
 bus = 0
+[sensor.pad]
+driver = "gamepad"
+sim = { driver = "{m}:Number" }
 [sensor.button]
 driver = "gpio"
 chip = "gpiochip0"
 line = 17
-sim = { driver = "{m}:Sonar" }
+sim = { driver = "{m}:Number" }
 """)
     told = {key: each for (key, rule), each in found.items() if rule == "package"}
     assert {key for key, each in told.items() if each[0] == "error"} == {
@@ -128,6 +131,7 @@ sim = { driver = "{m}:Sonar" }
         "network",
         "bus.chips",
         "sensor.button",
+        "sensor.pad",
     }
     assert "pip install 'esair[net]'" in told["network"][1]
 

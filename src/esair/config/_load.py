@@ -35,6 +35,8 @@ OPENED: Final = {
     "record": ("foxglove", "record"),
     "page": ("uvicorn", "page"),
     "network": ("zenoh", "net"),
+    "camera": ("cv2", "camera"),
+    "gamepad": ("evdev", "gamepad"),
     "gpio": ("gpiod", "gpio"),
     "spi": ("spidev", "spi"),
 }
@@ -460,13 +462,13 @@ def _found(draft: Draft, robot_class: type) -> list[FoundInFile]:
 
 def _not_installed(draft: Draft) -> Iterator[tuple[str, str, str, str]]:
     """Return what needs a package that is not here: without a device a robot starts."""
-    words: dict[str, object] = {key: key for key in OPENED if key in draft.source.data}
+    value = draft.source.value
+    words = {key: key for key in OPENED if key in draft.source.data}
     if not draft.simulated:
         for key in (each.key for each in draft.parts):
-            value = draft.source.value
-            words[key] = value(f"{key}.driver") or value(f"{key}.type")
+            words[key] = str(value(f"{key}.driver") or value(f"{key}.type"))
     for key, word in words.items():
-        package, extra = OPENED.get(str(word), ("", ""))
+        package, extra = OPENED.get(word, ("", ""))
         if package and importlib.util.find_spec(package) is None:
             told = f"it needs {package!r}, which is not installed here"
             level = "error" if key in ("record", "page") else "warning"
