@@ -393,6 +393,25 @@ def test_what_a_killed_robot_has_left_is_repeated(
 
 
 @pytest.mark.promise("REP-2")
+def test_two_robots_in_one_loop_are_not_taken_for_one(tmp_path: Path) -> None:
+    """The turns of the first end where the second begins; those are of both."""
+    first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
+
+    async def both() -> None:
+        async with robots.make(first):
+            await asyncio.sleep(0.1)
+            async with robots.make(second):
+                await asyncio.sleep(0.2)
+
+    with asyncio.Runner(loop_factory=esair.new_event_loop) as runner:
+        runner.run(both())
+    outcome = Replay(first).run(robots.make())
+    assert outcome.short == "another robot has begun in its event loop"
+    with pytest.raises(RecordingBrokenError, match="not exact: another robot"):
+        Replay(second)
+
+
+@pytest.mark.promise("REP-2")
 def test_a_loop_of_another_kind_is_said_to_be_inexact(tmp_path: Path) -> None:
     """The user's own loop has no border; its file says so."""
     path = tmp_path / "own.mcap"

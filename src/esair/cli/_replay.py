@@ -77,7 +77,7 @@ def replay(
 def _own_file(recorded: Replay) -> str:
     """Return the robot.toml of this folder if it is that of the run; else say why."""
     place = Path(ROBOT_FILE)
-    if recorded.script:
+    if recorded.script == DEMO:
         tell(f"{recorded.path}: 'esair demo' made it, say so: --with demo")
     elif not recorded.file:
         program = printable(recorded.program or "PROGRAM.py")
@@ -115,8 +115,11 @@ def _check(made_of: str) -> int:
 def _changes(recorded: Replay, robot: esair.Robot) -> list[str]:
     """Say what is not as it was recorded: a difference may come from there."""
     from esair.recording import facts_about
+    from esair.standard import OWN
 
     lines: list[str] = []
+    if recorded.script == OWN:
+        lines.append("its program ran it, not esair.run: its own acts are not repeated")
     then = recorded.facts.get("versions", {}).get("esair", esair.__version__)
     if then != esair.__version__:
         lines.append(f"it was recorded with esair {then}; this is {esair.__version__}")

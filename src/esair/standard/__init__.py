@@ -1,6 +1,6 @@
 """ESAIR STD: the robot, its four resident objects, and their order of start and stop."""
 
-from esair.standard._recording import FORMAT, components_of, public_text
+from esair.standard._recording import FORMAT, OWN, components_of, public_text
 from esair.standard._robot import (
     LAST_WAIT,
     STALL_WARNING,
@@ -19,6 +19,7 @@ from esair.standard._told import leaves, told
 __all__ = [
     "FORMAT",
     "LAST_WAIT",
+    "OWN",
     "STALL_WARNING",
     "Robot",
     "RunWanted",

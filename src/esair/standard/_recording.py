@@ -19,7 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Final
 
 from esair.exceptions import ConfigError, RecordingError, describe
-from esair.loop import turn_of
+from esair.loop import TapeWriter, turn_of
 from esair.messages import Recording, is_placed
 from esair.resources import Resource, settings_of
 
@@ -103,6 +103,9 @@ def _text(text: str) -> str:
 
 FORMAT = "3"  # that of the turns in a recording
 
+OWN: Final = "program"
+"""The script of a run that the robot's own program has driven: nobody else has it."""
+
 _log = logging.getLogger("esair")
 
 
@@ -122,9 +125,10 @@ class Keeping:
         self.duration: float | None = None
         """After how many seconds `run` stops the robot."""
         self.has_seat = False
-        self.script: tuple[str, dict[str, Any]] | None = None
-        """What repeats the run, if not `run` alone, and with which options."""
+        self.script: tuple[str, dict[str, Any]] = OWN, {}
+        """What repeats the run, empty for `run` alone, and with which options."""
         self.recorder: Recorder | None = None
+        self._keeps = False  # the turns of its loop
 
     def begin(self, robot: Robot) -> None:
         loop = asyncio.get_running_loop()
@@ -154,8 +158,9 @@ class Keeping:
             placed = json.dumps([each.name for each in parts if is_placed(each)])
             recorder.note("replay", {**about, "sha256": digest, "placed": placed})
             journal.count("recording", lambda: [("recording", recorder.counts())])
-            if turn_of(loop).repeats:
+            if about["exact"] == "yes" and turn_of(loop).repeats:
                 turn_of(loop).keep(recorder.keep_turns())
+                self._keeps = True
             recorder.start(turn_of(loop).clock())
             self.recorder = recorder
         except ImportError as error:
@@ -170,10 +175,13 @@ class Keeping:
         """Return what a replay has to know of the run."""
         turn = turn_of(loop)
         why = ""
-        if turn.virtual and self.script is None:
+        if turn.virtual and self.script[0] in {"", OWN}:
             why = "its time was virtual: its own test or program repeats it"
         elif not turn.virtual and not turn.repeats:
             why = f"its event loop is {type(loop).__name__}: esair.run brings its own"
+        elif isinstance(turn.door.tape, TapeWriter):
+            why = "another robot was recorded in its event loop"
+            turn.door.tape.spoil("another robot has begun in its event loop")
         return {
             "format": FORMAT,
             "exact": "no" if why else "yes",
@@ -184,8 +192,8 @@ class Keeping:
             "simulated": "yes" if simulated else "no",
             "duration": "" if self.duration is None else repr(self.duration),
             "seat": "yes" if self.has_seat else "no",
-            "script": "" if self.script is None else self.script[0],
-            "options": "{}" if self.script is None else json.dumps(self.script[1]),
+            "script": self.script[0],
+            "options": json.dumps(self.script[1]),
         }
 
     async def end(self) -> str:
@@ -193,7 +201,8 @@ class Keeping:
         if self.recorder is None:
             return ""
         loop = asyncio.get_running_loop()
-        turn_of(loop).keep(None)
+        if self._keeps:
+            turn_of(loop).keep(None)
         # No thread is left behind, as one of the loop's own would be.
         with ThreadPoolExecutor(1, "esair-recorder-end") as last:
             await loop.run_in_executor(last, self.recorder.close)

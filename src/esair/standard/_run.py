@@ -75,6 +75,7 @@ def run(
     ending: Ending | None = None
 
     robot._keeping.duration = duration  # noqa: SLF001 - as above
+    robot._keeping.script = "", {}  # noqa: SLF001 - as above
 
     async def main() -> None:
         nonlocal ending
