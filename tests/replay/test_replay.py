@@ -392,6 +392,28 @@ def test_what_a_killed_robot_has_left_is_repeated(
     assert equal[0] > 50
 
 
+@pytest.mark.promise("REP-2", "REC-4")
+@pytest.mark.usefixtures("no_drivers")
+@pytest.mark.parametrize("number", [-1, -2])
+def test_a_damaged_end_is_never_called_equal_to_the_end(
+    recording: Path, tmp_path: Path, number: int
+) -> None:
+    """One bit of a chunk is another, so it is left out: of the last there is no gap."""
+    data = bytearray(recording.read_bytes())
+    chunks, place = list[int](), 8
+    while place < len(data) - 8:
+        if data[place] == 6:
+            chunks.append(place)
+        place += 9 + int.from_bytes(data[place + 1 : place + 9], "little")
+    data[chunks[number] + 200] ^= 1
+    path = tmp_path / "run.mcap"
+    path.write_bytes(data)
+
+    outcome = Replay(path).run(robots.make())
+    assert outcome.divergence is None
+    assert outcome.short
+
+
 @pytest.mark.promise("REP-2")
 def test_two_robots_in_one_loop_are_not_taken_for_one(tmp_path: Path) -> None:
     """The turns of the first end where the second begins; those are of both."""

@@ -393,7 +393,8 @@ class Recorder:
             self._waiting.popleft()
             self.dropped += 1
         self._write_turns()
-        counts = {**self.counts(), "events": self._journal.number}
+        chunks = 0 if self._turns is None else self._turns.chunks
+        counts = {**self.counts(), "events": self._journal.number, "turns": chunks}
         self._segment.note("end", {k: str(v) for k, v in counts.items()})
         self._segment.close()
 

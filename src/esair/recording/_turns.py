@@ -8,7 +8,6 @@ which it takes effect again: then its class is there, and memory holds one turn.
 from __future__ import annotations
 
 import collections
-import itertools
 import logging
 import struct
 from collections.abc import Iterable, Iterator
@@ -57,7 +56,8 @@ class Turns:
     def __init__(self, kinds: Kinds) -> None:
         self._kinds = kinds
         self._waiting: collections.deque[Any] = collections.deque()
-        self._numbers = itertools.count()
+        self.chunks: int = 0
+        """How many were given."""
         self._came = self._went = 0  # Bytes: one thread adds to each
         self.tape = TapeWriter(self._put)  # What the loop writes on
         self.spoiled: str | None = None
@@ -78,7 +78,8 @@ class Turns:
         waiting = self._waiting
         if not waiting:
             return b""
-        out = bytearray(_number.pack(next(self._numbers)))
+        out = bytearray(_number.pack(self.chunks))
+        self.chunks += 1
         tags: dict[Tag, int] = {}
         for _ in range(min(AT_ONCE, len(waiting))):
             if len(out) > ROOM:
@@ -162,6 +163,7 @@ class Kept:
         chunks: What `chunks_of` finds there.
         kinds: The classes that may come back.
         whole: Whether the recording was ended; else its last turn may be a part of one.
+        count: How many chunks there were, where the end of the recording tells.
 
     Attributes:
         spoiled: Why the run cannot be repeated to its end; None if it can, or if that
@@ -169,12 +171,19 @@ class Kept:
     """
 
     def __init__(
-        self, path: Path, chunks: Iterable[bytes], kinds: Kinds, *, whole: bool = True
+        self,
+        path: Path,
+        chunks: Iterable[bytes],
+        kinds: Kinds,
+        *,
+        whole: bool = True,
+        count: int = 0,
     ) -> None:
         self._path = path
         self._chunks = chunks
         self._kinds = kinds
         self._whole = whole
+        self._count = count
         self._is_found = False  # a whole turn
         self.spoiled: str | None = None
 
@@ -225,13 +234,14 @@ class Kept:
                         "its beginning is not there (an old segment was deleted): a run "
                         "is repeated from its start"
                     )
-                self.spoiled = "a part of it is missing"
-                return
+                break
         if not found:
             raise self._broken(
                 "it holds no turns: only runs of 'esair run', 'esair sim' and "
                 "esair.run() with their own event loop can be repeated"
             )
+        if number != expected or expected + 1 < self._count:
+            self.spoiled = "a part of it is missing"
 
     def read(self, kept: Any) -> Any:
         """Return what came in.
@@ -277,16 +287,7 @@ def _items_of(data: bytes) -> Iterator[Any]:
         begin, place = place, place + rest[-1]
         if place > len(data):
             raise IndexError
-        brought = data[begin:place]
-        yield (
-            (tags[number], brought)
-            if kind == _FIRST
-            else (
-                tags[number],
-                rest[0],
-                brought,
-            )
-        )
+        yield (tags[number], *rest[:-1], data[begin:place])
 
 
 _FORMS: Final = {_CAME: _came, _FIRST: _first, _WAITS: _waits}

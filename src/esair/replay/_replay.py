@@ -67,8 +67,8 @@ class Comparison:
 
     Args:
         path: The recording.
-        whole: Whether it has an end, and lacks nothing: else what comes after it is no
-            news.
+        count: How many events it has; 0 if it has no end, or lacks some: then what
+            comes after it is no news.
         kept: Its turns, where they are played.
         player: What plays them.
         diverged: Called once, when there is a difference.
@@ -78,7 +78,7 @@ class Comparison:
         self,
         path: Path,
         *,
-        whole: bool,
+        count: int,
         kept: Kept | None,
         player: Player | None,
         diverged: Callable[[], object],
@@ -90,7 +90,7 @@ class Comparison:
         self._number = 0
         self.span: Player | Span = Span(path) if player is None else player
         """How long the recorded run is, which is read while it is repeated."""
-        self._whole = whole
+        self._count = count
         self._kept = kept
         self._diverged = diverged
         self._newest: dict[str, Seen] = {}
@@ -111,13 +111,14 @@ class Comparison:
         if self.is_over or event.kind in NOT_COMPARED:
             return
         value = event.value.value if event.kind is Kind.READING else event.value
+        value = plain(value)
         actual = Recorded(
             0,
             event.time,
             str(event.kind),
             event.component,
             event.peer,
-            plain(value),
+            value,
             event.text,
         )
         expected = self._next()
@@ -147,21 +148,26 @@ class Comparison:
 
     def _is_whole(self) -> bool:
         """Tell whether nothing is lacking, in the turns either: those are wound on."""
-        if self._whole and self._kept is not None:
+        if self._count and self._kept is not None:
             self.span.reaches(math.inf)
             return self._kept.spoiled is None
-        return self._whole
+        return self._count > 0
 
     def _next(self) -> Recorded | None:
         for event in self._events:
             if self._number and event.number != self._number + 1:
-                self.lost = max(1, event.number - self._number - 1)
-                self.is_over = True
+                self._lose(max(1, event.number - self._number - 1))
                 return None
             self._number = event.number
             if event.kind not in NOT_COMPARED:
                 return event
+        if self._number < self._count:
+            self._lose(self._count - self._number)
         return None
+
+    def _lose(self, count: int) -> None:
+        self.lost = count
+        self.is_over = True
 
     def _note(self, event: Recorded) -> None:
         if event.kind == Kind.READING:
@@ -173,10 +179,7 @@ class Comparison:
 
     def _tell(self, expected: Recorded | None, actual: Recorded | None) -> None:
         self.is_over = True
-        first = expected or actual
-        assert first is not None
-        if expected is not None and actual is not None:
-            first = min(expected, actual, key=lambda each: each.time)
+        first = min(filter(None, (expected, actual)), key=lambda each: each.time)
         who = first.component
         if first.kind in _OF_ACTUATORS and first.peer:
             who = first.peer
@@ -372,10 +375,12 @@ class Replay:
         kept: Kept | None = None
         player: Player | None = None
         has_end = "end" in self.facts
+        dropped = self._counted("dropped")
         chunks = chunks_of(self.path)
         if loop is None:
             kinds = kinds_of(lambda: components_of(robot), GIVEN)
-            kept = Kept(self.path, chunks, kinds, whole=has_end)
+            count = self._counted("turns")
+            kept = Kept(self.path, chunks, kinds, whole=has_end, count=count)
             player = Player(kept, read=kept.read)
             if player.error is not None:
                 raise player.error
@@ -396,7 +401,7 @@ class Replay:
 
         comparison = Comparison(
             self.path,
-            whole=has_end and not self._dropped,
+            count=0 if dropped else self._counted("events"),
             kept=kept,
             player=player,
             diverged=diverged,
@@ -434,13 +439,9 @@ class Replay:
             chunks.close()
         for error in refused:
             raise error
-        if (
-            player is not None
-            and player.error is not None
-            and not comparison.divergence
-        ):
+        if player and player.error is not None and not comparison.divergence:
             raise player.error
-        span, lost = comparison.span, comparison.lost or self._dropped
+        span, lost = comparison.span, comparison.lost or dropped
         short = (kept and kept.spoiled) or ""
         if not short and lost:
             short = f"{lost} events were not recorded"
@@ -456,10 +457,9 @@ class Replay:
             late="" if player is None else player.late,
         )
 
-    @property
-    def _dropped(self) -> int:
-        """How many events the recorder says that it has dropped."""
-        told = self.facts.get("end", {}).get("dropped", "")
+    def _counted(self, what: str) -> int:
+        """Return what the end of the recording counts; 0 if it does not."""
+        told = self.facts.get("end", {}).get(what, "")
         return int(told) if told.isdecimal() and len(told) < 20 else 0
 
 
