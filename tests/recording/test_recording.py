@@ -625,3 +625,11 @@ def test_the_wall_clock_is_told_as_it_is_amid_a_turn(tmp_path: Path) -> None:
     with asyncio.Runner(loop_factory=esair.new_event_loop) as runner:
         offset = runner.run(main())
     assert float(facts_of(path)["clock"]["offset"]) == pytest.approx(offset, abs=0.1)
+
+
+@pytest.mark.promise("REP-2")
+@pytest.mark.parametrize("kind", [set, frozenset])
+def test_a_set_is_told_in_one_order(kind: type) -> None:
+    """Its own is another in each process, which no replay takes for a difference."""
+    words = [f"button{number}" for number in range(20)]
+    assert plain({"pressed": kind(words)}) == {"pressed": sorted(words, key=repr)}

@@ -25,7 +25,7 @@ import esair
 from esair.buses import Bus
 from esair.codec import Kinds
 from esair.exceptions import RecordingBrokenError
-from esair.recording import Kept, chunks_of, events_of, facts_of
+from esair.recording import VALUE_LIMIT, Kept, chunks_of, events_of, facts_of
 from esair.replay import Replay, Unrepeatable, unrepeatable
 from esair.testing import FakeActuator
 
@@ -431,6 +431,42 @@ def test_two_robots_in_one_loop_are_not_taken_for_one(tmp_path: Path) -> None:
     assert outcome.short == "another robot has begun in its event loop"
     with pytest.raises(RecordingBrokenError, match="not exact: another robot"):
         Replay(second)
+
+
+class Camera(esair.Sensor[bytes]):
+    """Gives pictures that are larger than what is recorded of a value."""
+
+    rate = 50.0
+
+    async def read(self) -> bytes:
+        return bytes(2 * VALUE_LIMIT)
+
+
+class Measure(esair.Reaction):
+    """Reads them."""
+
+    camera = esair.reads(bytes)
+    wheel = esair.writes(float)
+
+    def react(self, camera: bytes) -> float:
+        return len(camera) / VALUE_LIMIT
+
+
+@pytest.mark.promise("REP-2")
+def test_large_pictures_are_repeated(tmp_path: Path) -> None:
+    """What the journal leaves out is no difference; the turns have it."""
+    path = tmp_path / "run.mcap"
+
+    def make(record: esair.Recording | None = None) -> esair.Robot:
+        parts = [Camera(), robots.Wheel()]
+        return esair.Robot(resources=parts, behaviors=[Measure()], record=record)
+
+    esair.run(make(esair.Recording(path, min_free=0)), duration=0.2)
+    commands = [event.value for event in events_of(path) if event.kind == "command"]
+    assert commands
+    assert {*commands} == {2.0}
+    outcome = Replay(path).run(make())
+    assert (outcome.divergence, outcome.short) == (None, "")
 
 
 @pytest.mark.promise("REP-2")

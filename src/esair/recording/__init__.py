@@ -13,12 +13,13 @@ from esair.recording._messages import (
     size_of,
 )
 from esair.recording._reading import Gaps, Recorded, chunks_of, events_of, facts_of
-from esair.recording._recorder import Recorder, facts_about
+from esair.recording._recorder import VALUE_LIMIT, Recorder, facts_about
 from esair.recording._recover import Recovered, is_whole, recover, replaced
 from esair.recording._turns import GIVEN, Kept
 
 __all__ = [
     "GIVEN",
+    "VALUE_LIMIT",
     "Gaps",
     "Kept",
     "Recorded",

@@ -47,8 +47,10 @@ def plain(value: Any, depth: int = DEPTH) -> Any:
         return _text(value)
     if isinstance(value, Mapping):
         return {str(key): plain(part, depth - 1) for key, part in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
+    if isinstance(value, list | tuple):
         return [plain(part, depth - 1) for part in value]
+    if isinstance(value, set | frozenset):  # its order is another in each process
+        return sorted((plain(part, depth - 1) for part in value), key=repr)
     if isinstance(value, bytes | bytearray | memoryview):
         return base64.b64encode(value).decode("ascii")
     if isinstance(value, enum.Enum):

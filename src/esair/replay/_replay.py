@@ -18,7 +18,17 @@ from esair.exceptions import RecordingBrokenError, describe
 from esair.journal import Event, Kind
 from esair.loop import Player, TurnLoop, run_and_end
 from esair.messages import is_placed
-from esair.recording import GIVEN, Kept, Recorded, chunks_of, events_of, facts_of, plain
+from esair.recording import (
+    GIVEN,
+    VALUE_LIMIT,
+    Kept,
+    Recorded,
+    chunks_of,
+    events_of,
+    facts_of,
+    plain,
+    size_of,
+)
 from esair.standard import (
     FORMAT,
     Robot,
@@ -111,7 +121,7 @@ class Comparison:
         if self.is_over or event.kind in NOT_COMPARED:
             return
         value = event.value.value if event.kind is Kind.READING else event.value
-        value = plain(value)
+        value = None if size_of(value) > VALUE_LIMIT else plain(value)  # as recorded
         actual = Recorded(
             0,
             event.time,
