@@ -247,18 +247,12 @@ def known(value: Any, seconds: float) -> tuple[str, dict[str, Any]] | None:
         }
     if form == "pose":
         half = value.heading / 2
+        place = {"x": value.x, "y": value.y, "z": 0.0}
+        turn = {"x": 0, "y": 0, "z": math.sin(half), "w": math.cos(half)}
         return "foxglove.PoseInFrame", {
             "timestamp": stamp,
             "frame_id": "world",
-            "pose": {
-                "position": {"x": value.x, "y": value.y, "z": 0.0},
-                "orientation": {
-                    "x": 0,
-                    "y": 0,
-                    "z": math.sin(half),
-                    "w": math.cos(half),
-                },
-            },
+            "pose": {"position": place, "orientation": turn},
         }
     return None
 

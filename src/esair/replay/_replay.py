@@ -166,18 +166,14 @@ class Comparison:
     def _next(self) -> Recorded | None:
         for event in self._events:
             if self._number and event.number != self._number + 1:
-                self._lose(max(1, event.number - self._number - 1))
-                return None
+                self.lost = max(1, event.number - self._number - 1)
+                break
             self._number = event.number
             if event.kind not in NOT_COMPARED:
                 return event
-        if self._number < self._count:
-            self._lose(self._count - self._number)
+        self.lost = self.lost or max(0, self._count - self._number)
+        self.is_over = self.lost > 0
         return None
-
-    def _lose(self, count: int) -> None:
-        self.lost = count
-        self.is_over = True
 
     def _note(self, event: Recorded) -> None:
         if event.kind == Kind.READING:
@@ -287,6 +283,11 @@ class Replay:
         file: The name of the robot.toml that the robot was made of; empty if of none.
         digest: SHA-256 of that file, in hexadecimal.
         is_simulated: Whether the robot was simulated.
+        program: The program that made the robot, if no file did.
+        is_virtual: Whether its time was virtual: then all of it happens again, devices
+            too.
+        script: What ran the robot, if not `esair.run` alone: ``"demo"``, or ``"program"``
+            for one of its user's; empty if nothing.
 
     Raises:
         RecordingBrokenError: It cannot be repeated, and why.
@@ -321,23 +322,11 @@ class Replay:
             raise RecordingBrokenError(
                 str(path), f"what it tells about itself is damaged: {describe(error)}"
             ) from error
+        self.program: str = self.about.get("program", "")
+        self.is_virtual: bool = self.about.get("clock") == "virtual"
+        self.script: str = self.about.get("script", "")
         if exact != "yes":
             raise RecordingBrokenError(str(path), f"it is not exact: {why}")
-
-    @property
-    def program(self) -> str:
-        """The program that made the robot, if no file did."""
-        return str(self.about.get("program", ""))
-
-    @property
-    def is_virtual(self) -> bool:
-        """Whether its time was virtual: then all of it happens again, devices too."""
-        return bool(self.about.get("clock") == "virtual")
-
-    @property
-    def script(self) -> str:
-        """What ran the robot, if not `esair.run` alone: ``"demo"``; empty if nothing."""
-        return str(self.about.get("script", ""))
 
     @property
     def options(self) -> dict[str, float]:
@@ -423,10 +412,9 @@ class Replay:
 
         async def run() -> None:
             try:
-                if script is None:
-                    await run_to_its_end(robot, self._duration)
-                else:
-                    await script(robot)
+                await (
+                    script(robot) if script else run_to_its_end(robot, self._duration)
+                )
             except BaseException as error:
                 # The end of the recorded run, which a signal may have brought; or the
                 # robot of today cannot start.
