@@ -117,6 +117,16 @@ async def test_a_stop_is_done_whatever_is_said_with_it(rover, raw):
         assert robot.wheels.commands[-1] == STILL
 
 
+@pytest.mark.promise("OPS-3")
+@pytest.mark.parametrize("until", [-5, 0.0, "soon"])
+async def test_no_stop_comes_too_late(rover, raw, until):
+    """Who says so of each of its lines, by another clock, stops the robot all the same."""
+    async with rover(Wander()) as robot, raw() as client:
+        await robot.wheels.until(MOVES)
+        assert (await client.do("1", "stop", until=until))["ok"]
+        assert robot.wheels.commands[-1] == STILL
+
+
 @pytest.mark.promise("OPS-1", "OPS-3")
 async def test_who_says_no_more_hears_the_outcome(rover, raw):
     """A script sends its lines and their end: each has an answer, a stop per device."""

@@ -69,7 +69,7 @@ def message_of(found: Mapping[str, Any]) -> Message:
     act = found.get("act")
     if not isinstance(act, str):
         raise BadValueError("message", "act", f"expected its name, not {act!r:.40}")
-    until = found.get("until")
+    until = None if act == "stop" else found.get("until")  # no stop is too late
     if until is not None and type(until) not in {int, float}:
         raise BadValueError("message", "until", f"expected seconds, not {until!r:.40}")
     fields = {key: value for key, value in found.items() if key not in _OWN}
