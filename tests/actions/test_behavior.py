@@ -336,13 +336,16 @@ async def test_plain_setup_and_teardown_go_with_an_async_run() -> None:
 
 
 @pytest.mark.promise("BEH-3")
-async def test_a_reaction_is_performed_until_its_condition() -> None:
+@pytest.mark.parametrize(
+    "until", [lambda sonar: sonar > 5.0, lambda **readings: readings["sonar"] > 5.0]
+)
+async def test_a_reaction_is_performed_until_its_condition(until: Any) -> None:
     """True when the condition came true; what it moved is safe afterwards."""
     sonar, wheels = devices()
     idle = Idle()
     async with esair.Robot(resources=[sonar, wheels], behaviors=[idle]) as robot:
         performing = asyncio.ensure_future(
-            idle.perform(Follow(), until=lambda sonar: sonar > 5.0, timeout=60.0)
+            idle.perform(Follow(), until=until, timeout=60.0)
         )
         await wheels.until(1.0)
         sonar.feed(9.0)
@@ -611,6 +614,32 @@ async def test_a_condition_that_raises_ends_the_reaction() -> None:
 
     assert [type(error) for error in told] == [ValueError, RuntimeError]
     assert "StopIteration" in str(told[1])
+
+
+@pytest.mark.promise("BEH-3")
+async def test_who_is_blind_for_too_long_is_told_how_old_the_newest_is() -> None:
+    """Its sensor is there, and has nothing new."""
+    sonar: FakeSensor[float] = FakeSensor("sonar")
+    wheels = FakeActuator("wheels", safe=0.0)
+
+    class Near(esair.Reaction):
+        sonar = esair.reads(float, max_age=0.5)
+        wheels = esair.writes(float)
+
+        def react(self, sonar: float) -> float:
+            return sonar
+
+    idle = Idle(
+        reads={"sonar": esair.reads(float)}, writes={"wheels": esair.writes(float)}
+    )
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[idle]):
+        step = asyncio.ensure_future(idle.perform(Near(), blind_timeout=1.0))
+        await asyncio.sleep(0.1)
+        sonar.feed(0.4)
+        await wheels.until(0.4)
+        with pytest.raises(esair.StaleReadingError) as told:
+            await step
+        assert told.value.age == pytest.approx(1.5, abs=0.01)
 
 
 def _raise(error: Exception) -> bool:

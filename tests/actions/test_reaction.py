@@ -38,6 +38,7 @@ async def test_it_runs_on_every_new_reading(
             await asyncio.sleep(0.001)
         assert wheels.commands == [0.0, 1.0, 2.0, 3.0]
         assert robot.behaviors.query("copy").steps == 3
+        assert robot.journal.counts()["copy"]["skipped"] == 0
 
 
 @pytest.mark.promise("REA-1")
@@ -427,10 +428,11 @@ async def test_a_failed_write_leaves_no_old_command_behind(fake_sensor: Any) -> 
             return radar
 
     radar = fake_sensor("radar")
-    async with esair.Robot(resources=[radar, Slow()], behaviors=[Follow()]):
+    async with esair.Robot(resources=[radar, Slow()], behaviors=[Follow()]) as robot:
         for value, pause in ((1.0, 0.05), (2.0, 0.15), (3.0, 0.5)):
             radar.feed(value)
             await asyncio.sleep(pause)
+        assert robot.journal.counts()["follow"]["rejected"] == 1
 
     assert log == [0.0, 3.0, 0.0, 0.0]
 

@@ -67,6 +67,23 @@ class Watcher(esair.Behavior):
         await asyncio.gather(*(follow(name) for name in self.names))
 
 
+def test_an_actuator_is_told_as_often_as_its_time_limit_asks_for() -> None:
+    """Whoever moves it tells it so often at least."""
+
+    class Motor(esair.Actuator[float]):
+        safe = 0.0
+        command_timeout = 0.1
+
+        async def write(self, command: float) -> None:
+            """Tell it."""
+
+    bus = FakeI2c(chips={0x10: {0: 0}}, name="motors")
+    bus.stretch(0.09)
+    robot = esair.Robot(resources=[Motor(name="motor", bus=bus)])
+    (load,) = [each for each in examine(robot.plan) if each.rule == "load"]
+    assert "90%" in str(load)
+
+
 async def until(condition: Callable[[], object]) -> None:
     """Look again and again, on whatever clock."""
     while not condition():  # noqa: ASYNC110 - states have no event

@@ -245,6 +245,10 @@ class BadFlag(Brake):
     sonar = esair.reads(float, optional="no")  # type: ignore[arg-type]
 
 
+class GuardsItself(esair.Behavior):
+    wheels = esair.guards(float)
+
+
 class BadEvery(esair.Behavior):
     sonar = esair.reads(float, every=True)
 
@@ -313,6 +317,10 @@ class AnswersReact(esair.Behavior):
     @esair.answers
     async def react(self, request: Order) -> int:
         return 1
+
+
+class TakesOne(esair.Behavior):
+    orders = esair.takes(Order, queue=1)
 
 
 class ReadsReact(esair.Behavior):

@@ -175,6 +175,8 @@ CASES = [
          "63 at most", "bad_number", "sonar"),
     Case(parts.BadFlag, "expected True or False, not 'no'",
          "bad_flag", "sonar.optional"),
+    Case(parts.GuardsItself, "only a reaction guards: make one of it",
+         "guards_itself", "wheels"),
     Case(parts.BadEvery, "only a reaction runs on every reading; here the newest wins",
          "bad_every", "sonar.every"),
     Case(parts.BadTaker, "only a behavior takes requests", "bad_taker", "orders"),
@@ -345,7 +347,10 @@ async def test_replace_refuses_the_same(case: Case) -> None:
 
 @pytest.mark.parametrize(
     "sound",
-    [parts.Annotated, parts.Unresolved, parts.AnswersReact, parts.ReadsReact],
+    [
+        *(parts.Annotated, parts.Unresolved, parts.AnswersReact, parts.ReadsReact),
+        parts.TakesOne,
+    ],
 )
 def test_what_fits_is_no_mistake(sound: type) -> None:
     """A reading, a value or nothing, what only a type checker can see, any name."""

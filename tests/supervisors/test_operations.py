@@ -12,6 +12,7 @@ import pytest
 import esair
 from esair import Access
 from esair.journal import Event, Kind
+from esair.plan import Plan, examine
 
 pytestmark = [pytest.mark.virtual_clock, pytest.mark.promise("RS-7")]
 
@@ -845,8 +846,6 @@ def test_the_rulebook_finds_what_is_declared_wrongly() -> None:
         def grind(self) -> None:
             """Blocks."""
 
-    from esair.plan import Plan, examine
-
     found = examine(Plan(resources=[Wrong(name="lift")], behaviors=[]))
     told = {f"{each.field}: {each.text}" for each in found}
     for part in (
@@ -858,6 +857,20 @@ def test_the_rulebook_finds_what_is_declared_wrongly() -> None:
         "grind: it blocks its thread for up to 9 s",
     ):
         assert any(each.startswith(part) for each in told), (part, told)
+
+
+def test_what_blocks_as_long_as_a_command_is_no_mistake() -> None:
+    """A safe command waits no longer than for another command."""
+
+    class Grinds(Lift):
+        deadline = 3.0
+
+        @esair.operation(deadline=3.0)
+        def grind(self) -> None:
+            """Blocks."""
+
+    found = examine(Plan(resources=[Grinds(name="lift")], behaviors=[]))
+    assert [each.text for each in found if each.rule == "time"] == []
 
 
 @pytest.mark.promise("SUP-2")
