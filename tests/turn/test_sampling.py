@@ -289,3 +289,35 @@ async def test_who_has_as_much_to_say_is_waited_for(
     waited = [moment * RATE % 1 / RATE for moment in reaction.moments[5:]]
     assert len(waited) >= 50
     assert [round(each, 6) % 0.05 for each in waited] == [after] * len(waited)
+
+
+@pytest.mark.virtual_clock
+async def test_who_is_removed_while_it_waits_for_a_sample_steps_no_more() -> None:
+    """The sample comes for nobody."""
+    asked = asyncio.Event()
+
+    class Slow(esair.Sensor[float]):
+        rate = 10.0
+
+        async def read(self) -> float:
+            asked.set()
+            await asyncio.sleep(0.03)
+            return 1.0
+
+    class Looks(esair.Reaction):
+        rate = 10.0
+        slow = esair.reads(float)
+        steps = 0
+
+        def react(self, slow: float) -> None:
+            self.steps += 1
+
+    looks = Looks()
+    async with esair.Robot(resources=[Slow()], behaviors=[looks]) as robot:
+        await asyncio.sleep(0.55)
+        asked.clear()
+        await asked.wait()
+        before = looks.steps
+        await robot.behaviors.remove("looks")
+        await asyncio.sleep(1.0)
+        assert looks.steps == before > 3
