@@ -179,7 +179,10 @@ async def test_samples_of_a_source_that_has_come_are_waited_for(
 
 @pytest.mark.virtual_clock
 @pytest.mark.promise("TURN-3")
-async def test_what_a_guard_sees_is_waited_for_as_long_as_it_guards() -> None:
+@pytest.mark.parametrize("watched", [False, True])
+async def test_what_a_guard_sees_is_waited_for_as_long_as_it_guards(
+    watched: bool,
+) -> None:
     """All who have a say in one actuator decide on samples of one instant."""
 
     class Guard(esair.Reaction):
@@ -190,11 +193,18 @@ async def test_what_a_guard_sees_is_waited_for_as_long_as_it_guards() -> None:
         def react(self, other: float, motor: float) -> float:
             return motor
 
+    class Watch(esair.Behavior):
+        other = esair.reads(float)
+
+        async def run(self) -> None:
+            async for _ in self.other:
+                pass
+
     reaction = Ages()
     devices = [Asked("sensor", RATE, 0.002), Asked("other", RATE, 0.01)]
     robot = esair.Robot(
         resources=[*devices, FakeActuator("motor", safe=0.0)],
-        behaviors=[reaction, Guard()],
+        behaviors=[reaction, Guard(), *[Watch()] * watched],
     )
     async with robot:
         await asyncio.sleep(1.0)
