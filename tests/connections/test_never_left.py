@@ -72,14 +72,14 @@ async def test_what_does_not_leave_its_line_ends_the_motion_that_it_took_over(
     async with esair.Robot(resources=[motor], behaviors=[low, high]) as robot:
         assert await low.motor.write(1.0)
         async with busy(robot):
-            soon = asyncio.get_running_loop().time() + 0.03
+            soon = asyncio.get_running_loop().time() + 0.2
             expires = soon if way == "expired" else None
             writing = asyncio.create_task(high.motor.write(command, expires=expires))
-            await asyncio.sleep(0.05)
             if way == "cancelled":
+                await asyncio.sleep(0.05)
                 writing.cancel()
-                await asyncio.wait({writing})
-        await asyncio.wait({writing})
+            await asyncio.wait({writing}, timeout=4.0)
+        assert writing.done()
         await told(motor.done, 3)
         assert motor.done == [0.0, 1.0, 0.0]
         assert low.motor.why().holder is None
@@ -189,7 +189,7 @@ async def test_what_is_given_up_in_a_line_is_never_begun(way: str) -> None:
     async with esair.Robot(resources=[motor], behaviors=[low]) as robot:
         other = asyncio.create_task(motor.line.call(go.wait, timeout=5.0))
         await asyncio.sleep(0.02)
-        soon = asyncio.get_running_loop().time() + 0.05 if way == "expired" else None
+        soon = asyncio.get_running_loop().time() + 0.2 if way == "expired" else None
         writing = asyncio.create_task(low.motor.write(1.0, expires=soon))
         await asyncio.sleep(0.02)
         if way == "safe":
