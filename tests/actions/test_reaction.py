@@ -163,6 +163,13 @@ def test_a_port_hides_nothing_that_an_action_has() -> None:
         type("Puts", (esair.Behavior,), {"put": esair.writes(float)})
 
 
+def test_a_port_with_a_name_that_is_taken_is_told_by_its_own_kind() -> None:
+    """What is written, and what guards, is not read under another name."""
+    for kind in (esair.reads, esair.writes, esair.guards):
+        with pytest.raises(esair.ConfigError, match=rf"say {kind.__name__}\("):
+            type("Puts", (esair.Reaction,), {"name": kind(float)})
+
+
 @pytest.mark.promise("REA-2")
 async def test_its_profile_can_be_given_instead_of_declared(
     fake_sensor: Any, fake_actuator: Any

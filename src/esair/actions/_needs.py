@@ -285,7 +285,8 @@ def _check_free(component: str, cls: type, ports: Mapping[str, Need]) -> None:
     for attribute, each in itertools.product(sorted(ports), own):
         has = vars(each).get(attribute, ports[attribute])
         if not isinstance(has, Reads | Writes | Guards):
-            told = f"an action has a {attribute!r} of its own: say reads(..., name=...)"
+            told = f"an action has a {attribute!r} of its own: say "
+            told += f"{type(ports[attribute]).__name__.lower()}(..., name=...)"
             told += ", and call the port otherwise"
             raise ConfigError(component, attribute, told)
 
