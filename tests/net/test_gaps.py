@@ -203,6 +203,23 @@ async def test_what_comes_twice_is_taken_once() -> None:
         assert bus.stats.late == late + 4
 
 
+@pytest.mark.promise("NET-2")
+async def test_a_reading_that_was_overtaken_is_not_the_newest() -> None:
+    """Within one beat, too: two connections carry it, and the later one comes first."""
+    pair, hand = Pair(), Hand()
+    async with pair.both(hand):
+        bus = pair.to_rover
+        head = Head(bus._run, bus._beats, bus._its_run, bus._its_beat, 0.0)
+        late = pair.to_base.stats.late
+        for held, value in ((0.9, 2.0), (0.8, 1.5)):
+            parts = "sonar", 0.0, value
+            said = packed(head._replace(held=held), parts, bus.kinds)
+            pair.network.inject("base", "rover", "reading", said)
+        await asyncio.sleep(0.001)
+        assert await hand.sonar.read() == 2.0
+        assert pair.to_base.stats.late == late + 1
+
+
 @pytest.mark.promise("NET-4")
 async def test_what_waits_behind_a_write_does_not_leave_after_a_gap() -> None:
     """A second command waits while the first has no answer; a gap ends both."""

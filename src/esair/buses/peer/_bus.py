@@ -139,8 +139,8 @@ class PeerBus(Bus):
         self._followed: dict[Inbox[Any], tuple[str, float]] = {}
         self.when_gone: dict[Callable[[str, str], object], None] = {}
         """Called with the name of what its owner has no more, and why."""
-        self._heard: dict[str, tuple[float, float, Any]] = {}
-        """Of each sensor when it was heard last, when that was measured, and what."""
+        self._heard: dict[str, tuple[float, float, Any, tuple[float, float]]] = {}
+        """Of each sensor when it was heard last, when that was measured, what, and its order."""
 
     def declare(self, kind: Any) -> None:
         """Let the classes come that a component, or a port, declares."""
@@ -368,11 +368,11 @@ class PeerBus(Bus):
             for listener in tuple(self._on_arrival):
                 listener()
         elif (parts := self.parts(what, body)) is not None:
-            self._hand_on(what, sent, parts)
+            self._hand_on(what, (since, sent), parts)
         elif what == "answer" and (of := self._pending.get(number_of(body) or 0)):
             arrive(of.outcome, ("lost", str(self.stats.last_error)))
         elif what == "reading" and (name := name_of(body)):
-            self._hand_on("gone", sent, (name, str(self.stats.last_error)))
+            self._hand_on("gone", (since, sent), (name, str(self.stats.last_error)))
 
     def _not_served(self, what: str, body: bytes) -> None:
         """Answer what comes before this robot is ready to serve, or after."""
@@ -408,7 +408,9 @@ class PeerBus(Bus):
         """Answer a write, or a release, that is not tried: for whoever made it alone."""
         self.say("answer", number, "refused", (self.name, 0, rule, 0.0, None))
 
-    def _hand_on(self, what: str, sent: float, parts: tuple[Any, ...]) -> None:
+    def _hand_on(
+        self, what: str, order: tuple[float, float], parts: tuple[Any, ...]
+    ) -> None:
         if what in {"answer", "progress"}:
             if (request := self._pending.get(parts[0])) is None:
                 self.stats.late += 1
@@ -434,13 +436,15 @@ class PeerBus(Bus):
                 for inbox in wanted:
                     told = DeviceLostError(self.name, parts[1]) if parts[1] else None
                     inbox.offer(told)
-            elif sent > NEVER:
+            elif heard is not None and order < heard[3]:
+                self.stats.late += 1  # one of the same beat has overtaken it
+            elif (sent := order[1]) > NEVER:
                 # It was measured no earlier than that, however long each way was.
                 now = asyncio.get_running_loop().time()
                 at = min(now, sent - parts[1])
                 if heard is not None:
                     at = max(at, heard[1])  # they come in the order of measurement
-                said = now, at, parts[2]
+                said = now, at, parts[2], order
                 if heard is None or not _is_again(heard, said):
                     self._heard[parts[0]] = said
                     for inbox in wanted:
@@ -599,7 +603,7 @@ def _in_words(told: Any) -> Any:
     return printable(str(told)[:_WORDS])
 
 
-def _is_again(heard: tuple[float, float, Any], now: tuple[float, float, Any]) -> bool:
+def _is_again(heard: tuple[Any, ...], now: tuple[Any, ...]) -> bool:
     """Tell whether a reading is the one from before, said once more after a while."""
     waited, later = now[0] - heard[0], now[1] - heard[1]
     if waited < QUIET or later > waited / 2:
