@@ -33,7 +33,7 @@ from tests.placement.actors import (
 
 import esair
 from esair import BehaviorState
-from esair.exceptions import line_of
+from esair.exceptions import line_of, told_traceback
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = [
@@ -463,6 +463,19 @@ async def test_a_crash_is_told_as_what_it_is_and_where_it_was(
         error = query("falls").error
         assert type(error) is type(ERRORS[how])
         assert line_of(error).endswith("in run: raise ERRORS[await self.receive()]")
+
+
+@pytest.mark.promise("PLC-3")
+async def test_the_traceback_of_a_crash_has_lines(place: Place) -> None:
+    """As Python prints it, that of its process too."""
+    async with World(place(Falls())) as world:
+        await world.robot.behaviors.put("value", sender="user", receiver="falls")
+        query = world.robot.behaviors.query
+        await world.until(lambda: query("falls").state is BehaviorState.FAILED)
+        error = query("falls").error
+        assert error is not None
+        lines = told_traceback(error).splitlines()
+        assert "    raise ERRORS[await self.receive()]" in lines
 
 
 @pytest.mark.promise("SUP-4")

@@ -346,8 +346,9 @@ class Exchange:
         match decode(data, self.kinds):
             case (BaseException() as error, str(where), str(line)):
                 vars(error)["_line"] = line
-                if where:
-                    error.add_note(f"in the process of {self.name}:\n{where}")
+                told = where and f"in the process of {self.name}:\n{where}"
+                for note in told.splitlines():  # each a line of its own where shown
+                    error.add_note(note)
                 return error
         raise CodecError("it is no error")
 
