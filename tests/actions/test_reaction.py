@@ -411,6 +411,34 @@ async def test_the_newest_command_wins_while_a_driver_waits(fake_sensor: Any) ->
 
 
 @pytest.mark.promise("REA-1")
+async def test_what_waited_for_a_safe_command_is_the_newest() -> None:
+    """A device that was busy being safe is told nothing that was decided before."""
+    told: list[float] = []
+    clock = asyncio.get_running_loop().time
+
+    class Busy(esair.Actuator[float]):
+        safe = 0.0
+        command_timeout = 0.3
+        deadline = 5.0
+
+        async def write(self, command: float) -> None:
+            told.append(clock() - command if command else math.inf)
+            await asyncio.sleep(0.4 if command else 0.7)
+
+    class Hurry(esair.Reaction):
+        rate = 20.0
+        busy = esair.writes(float)
+
+        def react(self) -> float:
+            return clock()
+
+    async with esair.Robot(resources=[Busy()], behaviors=[Hurry()]):
+        await asyncio.sleep(5.0)
+        assert told[3:] != []
+        assert max(age for age in told if age < math.inf) <= 0.06
+
+
+@pytest.mark.promise("REA-1")
 @pytest.mark.fault("D23")
 async def test_a_failed_write_leaves_no_old_command_behind(fake_sensor: Any) -> None:
     """What waited for a write that failed is dropped, not sent after a newer one."""

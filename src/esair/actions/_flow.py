@@ -429,9 +429,9 @@ class Output:
                 self.release()
             return False, None
         if self.pending:
-            if self.later is not None:
-                self._outputs.conflated += 1
-            self.later = command
+            renewed = self.channel.renew(self.registration, command)
+            self._outputs.conflated += renewed or self.later is not None
+            self.later = None if renewed else command
             return True, None
         try:
             outcome = self.channel.begin(

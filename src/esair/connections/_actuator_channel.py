@@ -621,6 +621,16 @@ class ActuatorChannel(Device):
             except Exception as error:
                 write.end(error)
 
+    def renew(self, registration: Registration, command: Any) -> bool:
+        """Let its write that waits be of a newer command; tell whether one waits."""
+        for write in self._waiting:
+            if write.registration is registration and not write.turn.done():
+                if self._journal.heard.command:
+                    self.wanted(registration, command)
+                write.command = command
+                return True
+        return False
+
     def _withdraw(self, registration: Registration) -> None:
         """Have the waiting writes of a registration end without a command."""
         for write in self._waiting:
