@@ -190,4 +190,4 @@ def test_names_differ_in_more_than_case() -> None:
         True,
         lambda _, error: found.append(error.reason),
     ).program()
-    assert found == ["the names sonar and Sonar: C writes both SONAR: take another"]
+    assert found == ["ROBOT_SENSOR_SONAR: two names that differ in case alone"]

@@ -136,20 +136,12 @@ def header(program: Program, target: str) -> str:
     floats = _REAL if program.has_floats else ""
     if floats and target == "avr":
         floats = "#ifndef ROBOT_FLOAT\n#define ROBOT_FLOAT\n#endif\n" + floats
-    kinds = {
-        "SENSOR": program.sensors,
-        "ACTUATOR": program.actuators,
-        "REACTION": program.reactions,
-    }
-    parts = [
-        f"ROBOT_{kind}_{n.upper()}" for kind, names in kinds.items() for n in names
-    ]
     return filled(
         "robot.h",
         floats=floats,
         types="\n".join(program.types.lines),
         heads="\n".join(f"{each};" for each in _heads(program)),
-        parts=",\n    ".join([*parts, "ROBOT_PARTS"]),
+        parts=",\n    ".join([*program.parts, "ROBOT_PARTS"]),
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.resources
-import itertools
 import math
 import re
 import string
@@ -36,7 +35,7 @@ class Program:
     types: Types
     sensors: dict[str, Type]  # what each gives
     actuators: dict[str, Type]  # what each takes
-    reactions: list[str]  # their names, in the order of MIN's steps
+    parts: list[str]  # what each is called, of reactions in the order of MIN's steps
     source: str  # robot.c
     has_floats: bool
 
@@ -87,16 +86,15 @@ class Wiring:
             "output": [*map(self._output_row, self._outputs)],
         }
         gap, odd = divmod(1_000_000, self._loop.every)
-        names = [task.name for task in self._tasks]
-        parts = [*self._inputs], [*self._outputs], names
-        if sum(map(len, parts)) > 200 or gap == 0:
+        tasks = [task.name for task in self._tasks]
+        names = {"SENSOR": self._inputs, "ACTUATOR": self._outputs, "REACTION": tasks}
+        parts = [f"ROBOT_{kind}_{n.upper()}" for kind in names for n in names[kind]]
+        if len(parts) > 200 or gap == 0:
             error = RefusedError("at most 200 parts, and 1000 steps a second")
             self._refuse(self._loop, error)
-        for alike in parts:
-            for one, other in itertools.combinations(alike, 2):
-                if one.upper() == other.upper():
-                    told = f"the names {one} and {other}: C writes both {one.upper()}: "
-                    self._refuse(self._loop, RefusedError(told + "take another"))
+        for each in sorted({each for each in parts if parts.count(each) > 1}):
+            error = RefusedError(f"{each}: two names that differ in case alone")
+            self._refuse(self._loop, error)
         said = "\n".join(self._lines)
         robot = self._types.functions + [
             text.replace("@", name)
@@ -120,7 +118,7 @@ class Wiring:
             robot="\n".join(robot),
             armed=_c(self._armed),
         )
-        return Program(self._types, self._inputs, self._outputs, names, source, floats)
+        return Program(self._types, self._inputs, self._outputs, parts, source, floats)
 
     def _all(
         self, parts: Sequence[Any], kind: Callable[[Any], Type]
