@@ -472,6 +472,38 @@ async def test_a_failed_write_leaves_no_old_command_behind(fake_sensor: Any) -> 
     assert log == [0.0, 3.0, 0.0, 0.0]
 
 
+@pytest.mark.promise("REA-1")
+async def test_what_waits_for_a_write_is_given_back_with_the_rest(
+    fake_sensor: Any,
+) -> None:
+    """A command that has not left when the reaction wants nothing any more never does."""
+    log: list[float] = []
+
+    class Slow(esair.Actuator[float]):
+        safe = 0.0
+        command_timeout = 5.0
+
+        async def write(self, command: float) -> None:
+            log.append(command)
+            if command:
+                await asyncio.sleep(0.1)
+
+    class Follow(esair.Reaction):
+        radar = esair.reads(float)
+        slow = esair.writes(float)
+
+        def react(self, radar: float) -> float | None:
+            return None if radar < 0 else radar
+
+    radar = fake_sensor("radar")
+    async with esair.Robot(resources=[radar, Slow()], behaviors=[Follow()]):
+        for value in (1.0, 2.0, -1.0):
+            radar.feed(value)
+            await asyncio.sleep(0.03)
+        await asyncio.sleep(0.5)
+    assert set(log) == {0.0, 1.0}
+
+
 @pytest.mark.promise("ROB-3")
 @pytest.mark.fault("D30")
 async def test_one_slow_actuator_does_not_hold_the_other_up(fake_sensor: Any) -> None:
