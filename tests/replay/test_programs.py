@@ -156,6 +156,8 @@ def test_a_fast_demo_is_repeated_with_its_world(tmp_path: Path) -> None:
 
     assert code == 0, said
     assert said.startswith("equal")
+    seconds = said.partition(" turns; ")[2].split()[0]
+    assert float(seconds) > 5.0  # of the robot's time
 
 
 @pytest.mark.long

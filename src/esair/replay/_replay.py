@@ -154,6 +154,8 @@ class Comparison:
             later = math.nextafter(expected.time, math.inf)
             if self.span.reaches(later):
                 self._tell(expected, None)
+        elif not self.is_over and self._kept is None:
+            self.span.reaches(math.inf)  # nobody has played it
         self.is_over = True
 
     def _is_whole(self) -> bool:
