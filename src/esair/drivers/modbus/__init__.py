@@ -126,8 +126,11 @@ class _OnUnit(Resource):
     ) -> None:
         super().__init__(**settings)
         check_bus(self, SerialBus, ModbusRtu, ModbusTcp)
-        is_rtu = isinstance(self.bus.framing, ModbusRtu)  # there nobody answers as 0
-        self.unit: int = check_whole(self.name, "unit", unit, int(is_rtu), 255)
+        self.unit: int = check_whole(self.name, "unit", unit, 0, 255)
+        is_rtu = isinstance(self.bus.framing, ModbusRtu)
+        if is_rtu and not unit:
+            told = "expected 1 to 255, not 0: all hear it, and nobody answers"
+            raise ConfigError(self.name, "unit", told)
         self.register: int = check_whole(self.name, "register", register, 0, 0xFFFF)
         self.table: str = check_choice(self.name, "table", table, self._tables)
         self.kind: Any = check_choice(self.name, "type", type, get_args(Kind))
