@@ -463,11 +463,13 @@ class BehaviorDeployment:
 
     async def gone(self, name: str) -> None:
         """Wait until a removal of that name that runs is over; others do not wait."""
-        member = self.members.get(name)
-        while member is not None and member.over and not member.over.done():
-            self.commands.changed()
-            await asyncio.wait({member.over})
+        while True:
             member = self.members.get(name)
+            over = None if member is None else member.over
+            if over is None or over.done():
+                return
+            self.commands.changed()
+            await asyncio.wait({over})
 
     async def begin(
         self, *members: Member, start: Callable[[Member], None] = Member.start

@@ -89,6 +89,10 @@ class Sight:
         self.reason: str = UNDECIDED  # why it cannot decide; empty if it can
         self._decided: asyncio.Future[None] | None = None
 
+    @property
+    def guard(self) -> Protection:
+        return self.entries[0]
+
     def accept(self) -> None:
         """Enter the table: it is blind until its first decision."""
         self.reason, self._decided = UNDECIDED, None
@@ -550,5 +554,5 @@ def runner_for(
         return PlacedRunner(reaction, seat, hooks, began=began, owner=owner)
     if reaction.guarded is None:
         return ReactionRunner(reaction, hooks, began=began, owner=owner)
-    port, guard = reaction.guarded[0], sight.entries[0]
+    port, guard = reaction.guarded[0], sight.guard
     return GuardRunner(reaction, port, guard, hooks, began=began, owner=owner)

@@ -267,8 +267,10 @@ _SECOND = 0.04
 
 def living(owner: Owner) -> list[asyncio.Task[Any]]:
     """Return the tasks of an owner that have not ended, without the one that asks."""
-    me = asyncio.current_task()
-    return [task for task in owner.living() if task is not me]
+    tasks, me = owner.living(), asyncio.current_task()
+    if me in tasks:
+        tasks.remove(me)
+    return tasks
 
 
 async def until_ended(tasks: list[asyncio.Task[Any]], grace: float) -> None:

@@ -451,7 +451,10 @@ class Member:
         self.try_to_start()
 
     def uses(self) -> list[Registration]:
-        return sum((step.own for step in self.steps), [*self.grants.registrations])
+        found = list(self.grants.registrations)
+        for step in self.steps:
+            found += step.own
+        return found
 
     def fence(self, reason: Callable[[], EsairError] | None = None) -> None:
         """Revoke all its registrations in one step; what it moved is made safe."""
@@ -465,19 +468,23 @@ class Member:
                 ended = partial(run_ended, self.name, registration.resource)
                 self.crew.resources.control.revoke(registration, reason or ended)
         self.grants.registrations.clear()
-        for portal in (self.portal, *(step.portal for step in self.steps)):
-            if portal is not None:
-                portal.close()
+        if self.portal is not None:
+            self.portal.close()
+        for step in self.steps:
+            if step.portal is not None:
+                step.portal.close()
 
     def stop(self) -> None:
         """Cut it off, whatever it does; its tasks are the caller's to end."""
         self.mail.become(BehaviorState.STOPPING)
-        self._no_restart()
+        if self._timer is not None:
+            self._no_restart()
         self.fence(lambda: UserRemovedError(self.name))
         self.give_up()
         self.crew.mediator.asker_ended(self.mail)
         self.mail.run_over(None)
-        wake(*self.mail.takers)
+        if self.mail.takers:
+            wake(*self.mail.takers)
 
     def stopped(self) -> None:
         """Its tasks have ended, or would not: it is gone."""

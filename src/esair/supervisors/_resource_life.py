@@ -623,7 +623,8 @@ class ResourceLife:
                 self.tried.set_exception(translate(self.name, error))
 
     async def _wait_for_news(self, timeout: float | None) -> BaseException | None:
-        self._news = news = self._loop.create_future()
+        news: asyncio.Future[BaseException | None] = self._loop.create_future()
+        self._news = news
         try:
             await asyncio.wait({news}, timeout=timeout)
         finally:
