@@ -439,6 +439,42 @@ async def test_what_waited_for_a_safe_command_is_the_newest() -> None:
 
 
 @pytest.mark.promise("REA-1")
+async def test_a_reaction_renews_no_command_but_its_own() -> None:
+    """What its performer writes by the same right leaves as it was said."""
+    told: list[float] = []
+    answers: list[Any] = []
+
+    class Busy(esair.Actuator[float]):
+        safe = 0.0
+        deadline = 5.0
+
+        async def write(self, command: float) -> None:
+            told.append(command)
+            await asyncio.sleep(0.3)
+
+    class Cruise(esair.Reaction):
+        rate = 20.0
+        busy = esair.writes(float)
+
+        def react(self) -> float:
+            return 0.25
+
+    class Overtaker(esair.Behavior):
+        busy = esair.writes(float)
+
+        async def run(self) -> None:
+            async with asyncio.TaskGroup() as group:
+                group.create_task(self.perform(Cruise(), timeout=2.0))
+                await asyncio.sleep(0.5)  # one of its commands is on its way
+                answers.append(await self.busy.write(0.75))
+
+    async with esair.Robot(resources=[Busy()], behaviors=[Overtaker()]):
+        await asyncio.sleep(3.0)
+    assert [answer.command for answer in answers] == [0.75]
+    assert told.count(0.75) == 1
+
+
+@pytest.mark.promise("REA-1")
 @pytest.mark.fault("D23")
 async def test_a_failed_write_leaves_no_old_command_behind(fake_sensor: Any) -> None:
     """What waited for a write that failed is dropped, not sent after a newer one."""

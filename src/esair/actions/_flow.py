@@ -429,13 +429,13 @@ class Output:
                 self.release()
             return False, None
         if self.pending:
-            renewed = self.channel.renew(self.registration, command)
+            renewed = self.channel.renew(self, command)
             self._outputs.conflated += renewed or self.later is not None
             self.later = None if renewed else command
             return True, None
         try:
             outcome = self.channel.begin(
-                self.registration, command, None, False, self.checked, now
+                self.registration, command, None, self, self.checked, now
             )
         except EsairError as error:
             self.reject(error)

@@ -22,7 +22,13 @@ from esair.connections._gate import (
     verdict,
 )
 from esair.connections._protection import Guards, Protection, Stillness
-from esair.connections._turns import Decision, Sent, WaitingWrites
+from esair.connections._turns import (
+    Decision,
+    Sent,
+    WaitingWrite,
+    WaitingWrites,
+    Wish,
+)
 from esair.connections._wire import NOT_YET, SafeCommand, Wire
 from esair.exceptions import (
     AccessDeniedError,
@@ -297,7 +303,7 @@ class ActuatorChannel(Device):
         registration: Registration,
         command: Any,
         hold: float | None,
-        told: bool = True,
+        wish: Wish | None = None,
         ready: Any = None,
         now: float | None = None,
         again: bool = False,
@@ -307,6 +313,7 @@ class ActuatorChannel(Device):
 
         What is ``ready`` is the command as `checked` has returned it in this turn,
         ``now`` is when the turn has begun: all that decide in it share one number.
+        The ``wish`` that it is of is told no more than that it is sent, and may be renewed.
         ``again``: it has waited for its turn, and the journal has heard of it. After
         the moment when it ``expires`` it does not leave any more, however it has waited.
         """
@@ -339,7 +346,8 @@ class ActuatorChannel(Device):
             return self._expired(registration, late)
         if wire.lane is not None or self.safe.state is not None:
             halts = self.gate.halts if numbers is None else numbers[0]
-            return self._when_idle(registration, command, hold, halts, expires)
+            waits = WaitingWrite(registration, command, hold, halts, expires, wish)
+            return self._when_idle(waits)
         if wire.slews:
             command = self._slewed(command, now)
         # `Hold` takes it here, in place.  # hot
@@ -375,7 +383,7 @@ class ActuatorChannel(Device):
         self.writes += 1
         if heard.applied:
             self._journal.publish(APPLIED, self.name, registration.behavior, command)
-        if not told:
+        if wish is not None:
             return SENT
         written = _new(Written)
         written.command, written.asked, written.by = command, asked, by
@@ -439,7 +447,8 @@ class ActuatorChannel(Device):
         """Send what is safe past the blind holds: it moves nothing, and holds nothing."""
         wire = self.wire
         if wire.lane is not None or self.safe.state is not None:
-            return self._when_idle(registration, command, None, self.gate.halts)
+            halts = self.gate.halts
+            return self._when_idle(WaitingWrite(registration, command, None, halts))
         moved = self.stillness.moves
         guard = self.gate.ticket(registration) if wire.blocks else None
         sent = wire.send(command, registration.behavior, guard)
@@ -576,22 +585,15 @@ class ActuatorChannel(Device):
 
     # Writes that wait until the device is free.
 
-    async def _when_idle(
-        self,
-        registration: Registration,
-        command: Any,
-        hold: float | None,
-        halts: int,
-        expires: float | None = None,
-    ) -> Written[Any] | Refused:
+    async def _when_idle(self, write: WaitingWrite) -> Written[Any] | Refused:
         current = self.operations.current
         if current is not None and current.call is not None:
-            right, told = current.registration, rule_of(registration)
-            if registration.priority > right.priority:  # that is finished first
+            right, told = current.registration, rule_of(write.registration)
+            if write.registration.priority > right.priority:  # that is finished first
                 denied = AccessDeniedError(right.behavior, self.name, OPERATE, told)
                 self.operations.end(denied)
                 self.make_safe(stay=True)
-        sent = await self._waiting.turn(registration, command, hold, halts, expires)
+        sent = await self._waiting.turn(write)
         return sent if isinstance(sent, Answer) else await sent
 
     def _look(self) -> None:
@@ -621,12 +623,12 @@ class ActuatorChannel(Device):
             except Exception as error:
                 write.end(error)
 
-    def renew(self, registration: Registration, command: Any) -> bool:
+    def renew(self, wish: Wish, command: Any) -> bool:
         """Let its write that waits be of a newer command; tell whether one waits."""
         for write in self._waiting:
-            if write.registration is registration and not write.turn.done():
+            if write.wish is wish and not write.turn.done():
                 if self._journal.heard.command:
-                    self.wanted(registration, command)
+                    self.wanted(write.registration, command)
                 write.command = command
                 return True
         return False

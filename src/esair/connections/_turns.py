@@ -150,8 +150,11 @@ class WaitingWrite:
     command: Any
     hold: float | None
     halts: int
-    expires: float | None
-    turn: asyncio.Future[Sent]
+    expires: float | None = None
+    wish: Wish | None = (
+        None  # which it is of, to be renewed; None if others wait for it
+    )
+    turn: asyncio.Future[Sent] = attrs.field(init=False)
     deadline: Deadline | None = None
 
     def end(self, end: Sent | Exception) -> None:
@@ -175,14 +178,7 @@ class WaitingWrites:
     def __iter__(self) -> Iterator[WaitingWrite]:
         return iter(tuple(self._writes))
 
-    async def turn(
-        self,
-        registration: Registration,
-        command: Any,
-        hold: float | None,
-        halts: int,
-        expires: float | None,
-    ) -> Sent:
+    async def turn(self, write: WaitingWrite) -> Sent:
         """Wait until somebody has said what becomes of a write; what leaves late is old."""
         if len(self._writes) >= WAITING_LIMIT:
             self.turned_away += 1
@@ -190,7 +186,7 @@ class WaitingWrites:
             raise BusyError(name, "number of waiting writes", WAITING_LIMIT)
         loop, limit = self._channel.loop, self._channel.actuator.deadline
         turn: asyncio.Future[Sent] = loop.create_future()
-        write = WaitingWrite(registration, command, hold, halts, expires, turn)
+        write.turn = turn
         self._writes.append(write)
         write.deadline = Deadlines.of(loop).after(limit, self._expire, write, limit)
         try:
