@@ -265,20 +265,24 @@ def test_a_pwm_channel_is_inverted_while_it_is_off(root, monkeypatch) -> None:
     assert told == ["inversed", "1"]
 
 
-def test_a_pwm_channel_without_a_period_gets_that_first(root, monkeypatch) -> None:
-    """As after a start of the computer: the kernel refuses a duty of no period."""
+@pytest.mark.parametrize("inverted", [False, True])
+def test_a_pwm_channel_without_a_period_gets_that_first(
+    root, monkeypatch, inverted
+) -> None:
+    """As after a start of the computer: the kernel refuses all else of no period."""
     channel, write = root / "class/pwm/pwmchip0/pwm1", Path.write_text
 
     def refusing(path: Path, text: str, **options: Any) -> int:
-        if path.name == "duty_cycle" and (channel / "period").read_text() == "0":
+        if path.name != "period" and (channel / "period").read_text() == "0":
             raise OSError(errno.EINVAL, "Invalid argument")
         return write(path, text, **options)
 
     monkeypatch.setattr(Path, "write_text", refusing)
-    fan = SysfsActuator(device="pwm:pwmchip0/1", period=0.00004)
+    fan = SysfsActuator(device="pwm:pwmchip0/1", period=0.00004, inverted=inverted)
     fan.open()
 
     assert fan.write(0.25) == 0.25
+    assert (channel / "polarity").exists() is inverted
 
 
 @pytest.mark.parametrize(
@@ -292,6 +296,7 @@ def test_a_pwm_channel_without_a_period_gets_that_first(root, monkeypatch) -> No
         (lambda: SysfsSensor(device="iio:x", value="../x"), "expected a name such as"),
         (lambda: SysfsActuator(device="pwm:pwmchip0"), "expected pwm:CHIP/CHANNEL"),
         (lambda: SysfsActuator(device="led:green/1"), "expected pwm:CHIP/CHANNEL"),
+        (lambda: SysfsActuator(device="led:a", inverted=True), "has no polarity"),
         (lambda: SysfsActuator(device="pwm:a/1", period=0.0), "expected seconds"),
         (lambda: SysfsActuator(device="led:a", limits=(0.0, 1.5)), "from 0 to 1"),
         (lambda: SysfsActuator(device="led:a", limits=(-0.5, 1.0)), "from 0 to 1"),

@@ -279,6 +279,8 @@ class SysfsActuator(_OnSysfs, Actuator[float]):
             told = f"expected pwm:CHIP/CHANNEL or led:NAME, not {device!r}"
             raise ConfigError(self.name, "device", told)
         self._channel = channel
+        if inverted and self.kind == "led":
+            raise ConfigError(self.name, "inverted", "an LED has no polarity")
         self.period_ns: int = round(period * 1e9)
         if not 0 < self.period_ns < 2**31:
             raise ConfigError(self.name, "period", f"expected seconds, not {period!r}")
@@ -306,14 +308,14 @@ class SysfsActuator(_OnSysfs, Actuator[float]):
         if is_inverted and not self.inverted:  # another program's
             told = f"{polarity} is inversed: say inverted = true, or write normal to it"
             raise DeviceFaultError(self.name, told)
-        if self.inverted and not is_inverted:
-            (channel / "enable").write_text("0", encoding="ascii")  # else it is refused
-            polarity.write_text("inversed", encoding="ascii")
         # A duty above the new period would be refused, and so would the period; before
         # there is any period, each duty is.
         if self._read(channel / "period"):
             (channel / "duty_cycle").write_text("0", encoding="ascii")
         (channel / "period").write_text(str(self.period_ns), encoding="ascii")
+        if self.inverted and not is_inverted:  # refused of what has no period, or is on
+            (channel / "enable").write_text("0", encoding="ascii")
+            polarity.write_text("inversed", encoding="ascii")
         (channel / "enable").write_text("1", encoding="ascii")
         self._file, self._most = channel / "duty_cycle", self.period_ns
 
