@@ -60,7 +60,7 @@ from esair.exceptions import (
     DeviceLostError,
     DriverStuckError,
 )
-from esair.loop import SAFE, Urgency, urgency
+from esair.loop import SAFE, Urgency, urgency, waits_in_line
 from esair.plan import examine
 from esair.testing import ActuatorContract, BusContract, SensorContract
 
@@ -305,6 +305,72 @@ async def test_a_goal_that_is_given_up_in_the_line_is_not_sent() -> None:
     assert fakes.servos[1].get(GOAL_POSITION) == 300
     assert fakes.servos[2].get(GOAL_POSITION) == CENTER
     await bus.close()
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("BUS-5")
+@pytest.mark.parametrize("servos", [(1,), (2, 3)])
+async def test_what_is_given_up_for_a_silent_servo_is_not_sent(
+    servos: tuple[int, ...],
+) -> None:
+    """It has not begun before its turn; it would come after what makes safe."""
+    fakes = FakeServos([1, 2, 3])
+    bus = ServoBus(name="arm", wire=fakes)
+    await bus.open()
+    fakes.stall()
+    asked = [bus.read(1, PRESENT_POSITION, 4), bus.read(1, GOAL_POSITION, 4)]
+    reads = asyncio.gather(*asked, return_exceptions=True)
+    await asyncio.sleep(0.02)
+    writes = [asyncio.ensure_future(bus.write(n, TORQUE_ENABLE, 1, 1)) for n in servos]
+    await asyncio.sleep(0.02)
+    fakes.resume()
+    assert [waits_in_line(each) for each in writes] == [True] * len(writes)
+    writes[0].cancel()
+    urgency.set(urgent := Urgency())
+    with urgent.raised(SAFE):
+        await bus.write(servos[0], TORQUE_ENABLE, 1, 0)
+
+    await asyncio.gather(reads, *writes, return_exceptions=True)
+    await asyncio.sleep(1.0)
+    assert not fakes.servos[servos[0]].torque
+    assert all(fakes.servos[n].torque for n in servos[1:])
+    await bus.close()
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.promise("BUS-5")
+async def test_no_servo_gets_its_torque_after_a_halt() -> None:
+    """Not even if that waits, because the servo did not answer another request."""
+
+    class Silent(FakeServos):
+        """Does not answer what it is asked while it is told its goal."""
+
+        lost: asyncio.Task[int] | None = None
+
+        def _status(self, number: int, instruction: int, parameters: bytes) -> bytes:
+            if parameters[:1] == bytes([GOAL_POSITION]) and self.lost is None:
+                reading = bus.read(1, GOAL_CURRENT, 2)
+                self.lost = asyncio.get_running_loop().create_task(reading)
+            told = super()._status(number, instruction, parameters)
+            return b"" if parameters[:1] == bytes([GOAL_CURRENT]) else told
+
+    class Wave(esair.Behavior):
+        joint = esair.writes(Goal)
+
+        async def run(self) -> None:
+            assert not await self.joint.write(Goal(0.5))
+
+    fakes = Silent([1])
+    fakes.delay = 0.004
+    bus = ServoBus(name="arm", wire=fakes)
+    joint = Servo(name="joint", id=1, bus=bus, safe=RELEASE)
+    async with esair.Robot(resources=[joint], behaviors=[Wave()]) as robot:
+        await asyncio.sleep(0.1)  # that was given up, and is owed for as long
+        await robot.halt("enough")
+        await asyncio.sleep(1.0)
+    assert fakes.lost is not None
+    assert isinstance(fakes.lost.exception(), DeviceFaultError)
+    assert (1, WRITE, bytes([TORQUE_ENABLE, 0, 1])) not in fakes.written
 
 
 @pytest.mark.virtual_clock

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 
 from esair.buses import Wire
 from esair.buses.serial import SerialBus, SerialLink
-from esair.exceptions import DeviceFaultError
+from esair.exceptions import DeviceFaultError, NoTurnError
 from esair.framing import Framing, LengthCrc
 from esair.loading import of_extra
 from esair.loop import COMMAND, InLine, now, spawn, urgency
@@ -266,7 +266,8 @@ Key = tuple[Kind, int, int]
 """What requests have in common that are made together: its kind, address and size."""
 
 
-Batch = list[tuple[int, int, InLine[int]]]
+Asked = tuple[int, int, InLine[int]]
+Batch = list[Asked]
 """Which servo, what it is told, and who waits."""
 
 HARDWARE_ERROR = 70
@@ -468,7 +469,7 @@ class ServoBus(SerialBus):
         request = self._exchanges.request(servo, timeout=0.0)
         return self._exchanges.is_owed_to(request)
 
-    def _make_alone(self, key: Key, each: tuple[int, int, InLine[int]]) -> None:
+    def _make_alone(self, key: Key, each: Asked) -> None:
         """Make a request of a servo that others do not wait for: it may not answer."""
         loop, context = asyncio.get_running_loop(), contextvars.copy_context()
         making = self._make_batch(key, [each])
@@ -480,15 +481,16 @@ class ServoBus(SerialBus):
         if not live:
             return
         asked = {servo: value for servo, value, _ in live}  # the newest wins
-        for _, _, future in live:
-            future.begun = now()
         if key[0] is Kind.WRITE:
             for servo in asked:
                 self._snapshots.pop(servo, None)
         made: Made
         try:
-            made = await self._made(key, asked)
+            made = await self._made(key, asked, live)
         except Exception as error:
+            if any(future.done() for *_, future in live):  # it is made without those
+                await self._make_batch(key, live)
+                return
             made = dict.fromkeys(asked, error)
         for servo, found in made.items():
             if key == (Kind.READ, *self._looks[servo][:2]) and isinstance(found, int):
@@ -505,46 +507,50 @@ class ServoBus(SerialBus):
             else:
                 future.set_result(result)
 
-    async def _made(self, key: Key, asked: Mapping[int, int]) -> Made:
+    async def _made(self, key: Key, asked: Mapping[int, int], live: Batch) -> Made:
         kind, address, size = key
         if kind is Kind.READ:
             if len(asked) > 1:
-                return await self._read_all(address, size, tuple(asked))
-            return {servo: await self._read(servo, address, size) for servo in asked}
+                return await self._read_all(key, tuple(asked), live)
+            return {each: await self._read(each, *key[1:], *live) for each in asked}
         told = {servo: value.to_bytes(size, "little") for servo, value in asked.items()}
         if kind is Kind.WRITE and len(told) == 1:
             for servo, data in told.items():
                 request = bytes([WRITE]) + self._at(address) + data
-                await self._request(servo, f"write {address}", request)
+                await self._request(servo, f"write {address}", request, *live)
         else:
             request = bytes([SYNC_WRITE]) + self._at(address, size)
             request += b"".join(bytes([servo]) + data for servo, data in told.items())
             what = f"write {address} of {len(told)} servos"
-            await self._exchanged(tuple(told), what, request, to=ALL, answers=False)
+            servos = tuple(told)
+            await self._exchanged(servos, what, request, *live, to=ALL, answers=False)
         return dict.fromkeys(asked, 0)
 
-    async def _read(self, servo: int, address: int, size: int) -> int:
+    async def _read(self, servo: int, address: int, size: int, *live: Asked) -> int:
         request = bytes([READ]) + self._at(address, size)
-        told = await self._request(servo, f"read {address}", request)
+        told = await self._request(servo, f"read {address}", request, *live)
         if len(told) != size:
             text = f"servo {servo}, read {address}: it has told {len(told)} bytes"
             raise self.failed(DeviceFaultError(self.name, f"{text} instead of {size}"))
         return int.from_bytes(told, "little")
 
-    async def _read_all(self, address: int, size: int, servos: tuple[int, ...]) -> Made:
+    async def _read_all(self, key: Key, servos: tuple[int, ...], live: Batch) -> Made:
+        _, address, size = key
         request = bytes([SYNC_READ]) + self._at(address, size)
         what = f"read {address} of {len(servos)} servos"
-        told = await self._exchanged(servos, what, request, to=ALL)
+        told = await self._exchanged(servos, what, request, *live, to=ALL)
         return {
             servo: int.from_bytes(data, "little")
             for servo, (error, data) in told.items()
             if not error and len(data) == size
         }
 
-    async def _request(self, servo: int, what: str, request: bytes) -> bytes:
+    async def _request(
+        self, servo: int, what: str, request: bytes, *live: Asked
+    ) -> bytes:
         """Ask one servo, and return what it says unless that is an error."""
         bad = self.framing.bad_frames
-        told = await self._exchanged((servo,), what, request, to=servo)
+        told = await self._exchanged((servo,), what, request, *live, to=servo)
         if servo not in told:
             is_damaged = self.framing.bad_frames > bad
             why = "Incorrect" if is_damaged else "There is no"
@@ -575,7 +581,7 @@ class ServoBus(SerialBus):
         servos: tuple[int, ...],
         what: str,
         request: bytes,
-        *,
+        *live: Asked,
         to: int,
         answers: bool = True,
     ) -> dict[int, tuple[int, bytes]]:
@@ -588,6 +594,10 @@ class ServoBus(SerialBus):
         exchange = self._exchanges.request(*asked, timeout=self.write_timeout)
         exchange.name = what
         async with exchange:
+            if any(future.done() for *_, future in live):  # given up in the line
+                raise NoTurnError(self.name, what, 0.0)
+            for *_, future in live:
+                future.begun = now()
             if to == ALL and answers:  # some may owe one since they were gathered
                 servos = tuple(each for each in servos if not self._owes(each))
                 request += bytes(servos)
