@@ -151,9 +151,7 @@ class WaitingWrite:
     hold: float | None
     halts: int
     expires: float | None = None
-    wish: Wish | None = (
-        None  # which it is of, to be renewed; None if others wait for it
-    )
+    wish: Wish | None = None  # that may renew it; None if somebody waits for its end
     turn: asyncio.Future[Sent] = attrs.field(init=False)
     deadline: Deadline | None = None
 
