@@ -108,6 +108,62 @@ async def test_inside_react_the_ports_answer_without_waiting(fake_sensor: Any) -
     assert all(given == newest for given, newest, _count in note.seen)
 
 
+@pytest.mark.promise("REA-4", "SC-3")
+async def test_the_newest_reading_is_as_old_as_what_is_decided_on() -> None:
+    """At 200 Hz the last step before a silence is at the very moment of its limit."""
+
+    class Tilt(esair.Sensor[float]):
+        rate = 200.0
+
+        async def read(self) -> float:
+            now = asyncio.get_running_loop().time()
+            if 2.862 <= now < 5.162:
+                await asyncio.sleep(5.162 - now)
+            return 1.0
+
+    class Balance(Note):
+        rate = 200.0
+        sonar = esair.reads(float, name="tilt", max_age=0.02)
+
+    balance = Balance()
+    async with esair.Robot(resources=[Tilt()], behaviors=[balance]) as robot:
+        await asyncio.sleep(8.0)
+        status = robot.behaviors.query("balance")
+    assert (status.state, status.error) == (esair.BehaviorState.RUNNING, None)
+    assert balance.seen[-1] == (1.0, 1.0, 3)
+
+
+@pytest.mark.promise("REA-3", "RES-2")
+async def test_a_reaction_that_asks_for_what_is_not_there_begins_anew(
+    fake_sensor: Any,
+) -> None:
+    """Its optional sensor is silent: it is parked until that speaks, and no longer."""
+
+    class Look(esair.Reaction):
+        rate = 20.0
+        sonar = esair.reads(float, max_age=0.2, optional=True)
+        steps = 0
+
+        def react(self, sonar: float | None) -> None:
+            assert self.sonar.newest.value == 1.0
+            self.steps += 1
+
+    sonar, look = fake_sensor("sonar", 1.0, rate=20.0), Look()
+    async with esair.Robot(resources=[sonar], behaviors=[look]) as robot:
+        await asyncio.sleep(1.0)
+        sonar.stall()
+        await asyncio.sleep(5.0)
+        status = robot.behaviors.query("look")
+        assert status.state is esair.BehaviorState.PARKED
+        assert status.detail == "sonar is silent"
+        sonar.resume()
+        await asyncio.sleep(1.0)
+        before = look.steps
+        await asyncio.sleep(1.0)
+        assert look.steps - before == 20
+        assert robot.behaviors.query("look").state is esair.BehaviorState.RUNNING
+
+
 @pytest.mark.promise("REA-4")
 async def test_the_newest_reading_of_a_lost_sensor_is_none(fake_sensor: Any) -> None:
     """Nobody takes an old value for a new one: a behavior's port raises as read does."""

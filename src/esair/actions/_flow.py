@@ -14,6 +14,7 @@ import attrs
 
 from esair.actions._needs import Reads
 from esair.connections import (
+    GRACE,
     SENT,
     ActuatorChannel,
     Decision,
@@ -45,9 +46,6 @@ Sensing = tuple[SensorChannel, Registration, float | None]
 
 Moving = tuple[ActuatorChannel, Registration]
 """An actuator of a reaction: its channel, and the right to it."""
-
-GRACE = 1e-5
-"""How many seconds a reading may be older than its limit: timers are early."""
 
 _QUICK = 100.0
 """From this rate on, in Hz, the next step finds soon enough that a reading is too old."""

@@ -57,6 +57,7 @@ from esair.connections._ports import (
 from esair.connections._protection import BLIND, UNDECIDED, Protection, Protections
 from esair.connections._sensor_channel import (
     ANSWERS_WITHIN,
+    GRACE,
     Applied,
     AppliedChannel,
     Computation,
@@ -79,6 +80,7 @@ __all__ = [
     "ANSWERS_WITHIN",
     "BLIND",
     "DONE",
+    "GRACE",
     "HALT",
     "SENT",
     "UNDECIDED",

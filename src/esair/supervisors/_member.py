@@ -427,7 +427,7 @@ class Member:
         """Begin anew if this was the last resource that was not there."""
         awaited = self._timer
         if (
-            isinstance(self.action, Behavior)
+            (self.runner is None or self.runner.stopped)
             and self.mail.state is BehaviorState.PARKED
             and not absent(self.action, self.crew.resources.is_ready)
             and not (isinstance(awaited, Silence) and awaited.channel.name != resource)
