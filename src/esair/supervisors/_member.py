@@ -381,7 +381,7 @@ class Member:
         resources = self.crew.resources
         missing = absent_for(error, self.action, resources.is_ready)
         channels = resources.sensors.channels
-        silence = silence_for(error, self.action, channels, self.resource_up)
+        silence = silence_for(error, self.action, channels, self._resource_heard)
         if missing or silence:
             # Not its own fault: it begins anew when everything it uses is there.
             self.mail.become(BehaviorState.PARKED)
@@ -424,7 +424,7 @@ class Member:
             self.crew.ended()
 
     def resource_up(self, resource: str) -> None:
-        """Begin anew if this was the last one that was not there, or silent."""
+        """Begin anew if this was the last resource that was not there."""
         awaited = self._timer
         if (
             (self.runner is None or self.runner.stopped)
@@ -435,6 +435,11 @@ class Member:
             self._no_restart()
             _log.info("%s: goes on: %s is back", self.name, resource)
             self._restart()
+
+    def _resource_heard(self, resource: str) -> None:
+        """Begin anew: a sensor has spoken that was silent; if nothing else is missing."""
+        self._no_restart()
+        self.resource_up(resource)
 
     def _no_restart(self) -> None:
         if self._timer is not None:
