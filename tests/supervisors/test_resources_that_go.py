@@ -290,6 +290,24 @@ async def test_silence_that_becomes_a_loss_ends_with_it() -> None:
         await device.until(2.0)
 
 
+@pytest.mark.promise("RES-3", "SUP-4")
+async def test_who_has_heard_its_sensor_waits_for_the_rest_only() -> None:
+    """The sensor spoke while another device was missing: it need not speak again."""
+    device, sonar = wheels(), pushing()
+    async with esair.Robot(resources=[device, sonar], behaviors=[Watch()]) as robot:
+        sonar.feed(1.0)
+        await device.until(1.0)
+        await asyncio.sleep(0.7)
+        device.unplug()
+        await asyncio.sleep(0.2)
+        sonar.feed(2.0)
+        await asyncio.sleep(0.1)
+        assert robot.behaviors.query("watch").state is State.PARKED
+        device.plug()
+        await asyncio.sleep(0.3)
+        assert robot.behaviors.query("watch").state is State.RUNNING
+
+
 @pytest.mark.promise("SUP-4")
 async def test_a_limit_of_its_own_that_no_reading_can_meet_is_its_fault() -> None:
     """Asked for what is not promised, a sensor is not silent: that is a crash."""
