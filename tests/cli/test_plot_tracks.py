@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from esair.cli._plot import POINTS, Seen, Track
+from esair.cli._plot import NAMES, POINTS, Seen, Track
 from esair.recording import Recorded
 
 pytestmark = pytest.mark.promise("REC-6")
@@ -43,7 +43,9 @@ def test_names_and_holders_are_bounded() -> None:
             )
         )
         seen.take(Recorded(number, number, "crashed", "a", "", None, ""))
+        seen.take(Recorded(number, number, "up", f"u{number}", "", None, ""))
 
+    assert len(seen._came_up) <= len(seen.named) == NAMES
     assert len(seen.tracks) == len(seen.holders) == 24
     assert sorted(seen.tracks)[0] == "w000.x"
     assert len(seen.marks) == 1000

@@ -142,7 +142,7 @@ class Seen:
         is_news = kind in _MARKED and (kind != "up" or name in self._came_up)
         if is_news and len(self.marks) < MARKS:
             self.marks.append((when, name, kind))
-        if kind == "up":  # the first one is the start
+        if kind == "up" and name in self.named:  # the first one is the start
             self._came_up.add(name)
 
     def _track(self, field: str, when: float, number: float) -> None:
