@@ -13,6 +13,7 @@ import pytest
 
 import esair
 from esair.cli import main
+from esair.cli._errors import is_no_picture
 from esair.cli._log_file import _print
 from esair.journal import Journal, Kind
 from esair.messages import Reading
@@ -135,6 +136,14 @@ def test_plot_draws_a_picture(recording: Path, capsys) -> None:
     assert capsys.readouterr().out.strip() == str(picture)
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert picture.stat().st_size > 10_000
+
+
+def test_the_kind_of_a_picture_may_be_in_capitals(tmp_path: Path, capsys) -> None:
+    """Some write so, and it is drawn; a misspelling is told all the same."""
+    pytest.importorskip("matplotlib", reason="needs esair[sim]")
+    kinds = [is_no_picture(tmp_path / name) for name in ("a.PNG", "a.SVG", "a.PGN")]
+    assert kinds == [False, False, True]
+    assert "there is no 'pgn'; did you mean 'png'?" in capsys.readouterr().err
 
 
 def test_recover_makes_a_cut_file_whole(recording: Path, capsys) -> None:

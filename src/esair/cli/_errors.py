@@ -140,7 +140,7 @@ def is_no_picture(target: Path) -> bool:
     from matplotlib.figure import Figure
 
     kinds = Figure().canvas.get_supported_filetypes()
-    return has_unknown("--out", [target.suffix[1:] or "png"], kinds)
+    return has_unknown("--out", [target.suffix[1:].lower() or "png"], kinds)
 
 
 def counted(number: int, word: str) -> str:
