@@ -266,9 +266,7 @@ class PeerBus(Bus):
         turn_of(loop).suspends.look()  # it may be from before a sleep that ends now
         is_strange = head.run != self._its_run and self._since(head) == NEVER
         if self._is_over(head) or (is_strange and self._alive.is_set()):
-            self.stats.late += (
-                1  # who has begun anew hears a beat of now, and echoes it
-            )
+            self.stats.late += 1  # who begins anew hears a beat of now, and echoes it
             return False
         self._heard_there = head.echo_run if head.held < SILENCE else 0
         now = loop.time()
