@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Container
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,7 +20,7 @@ from tests.net.certificates import certify, tls
 from tests.net.parts import Dock, Docking, Hand, Pair, Twist, free_port
 
 import esair
-from esair.buses.peer import Network, PeerBus, Tls, _line
+from esair.buses.peer import Network, PeerBus, Tls, _line, _zenoh
 from esair.buses.peer._wire import LIMIT
 from esair.drivers.peer import PeerSensor
 
@@ -419,6 +420,27 @@ async def test_a_certificate_of_other_days_is_named(certificates: Path) -> None:
     with pytest.raises(esair.DeviceLostError, match="no beat of it was heard"):
         await bus.open()
     await bus.close()
+
+
+@pytest.mark.promise("NET-3", "NET-5")
+async def test_a_certificate_that_is_over_meanwhile_is_named(
+    certificates: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whose day has come hears nobody any more, until its clock is right."""
+    later = 0.0
+    clock = SimpleNamespace(**{**vars(time), "time": lambda: time.time() + later})
+    monkeypatch.setattr(_zenoh, "time", clock)
+    async with Relay(free_port()) as relay:
+        pair, hand = through(relay, certificates), Hand()
+        async with pair.base(), pair.rover(hand) as robot:
+            await use(pair, hand, robot, 3)
+            later = 10.0 * 86_400.0
+            assert await is_ready(robot, "far_wheels", 3.0, wanted=False)
+            assert "GMT; by this clock it is" in str(
+                robot.resources.query("base").error
+            )
+            later = 0.0
+            await use(pair, hand, robot, 3)
 
 
 async def refused(certificates: Path, who: str) -> None:

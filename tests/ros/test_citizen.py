@@ -373,6 +373,24 @@ async def test_a_process_that_hangs_is_ended() -> None:
         assert robot.resources.query("ros").state is esair.ResourceState.READY
 
 
+@pytest.mark.promise("ROS-2")
+async def test_why_there_is_no_process_is_told_of_what_it_had() -> None:
+    """Not that nothing was heard; when it is there nothing of it is left."""
+
+    async def nowhere(*_: object) -> Any:
+        raise FileNotFoundError("/nowhere/python3")
+
+    citizen = Citizen(nowhere)
+    async with citizen.running() as robot:
+        assert "/nowhere/python3" in str(robot.resources.query("range").error)
+        citizen.network.begin = citizen.fake
+        await asyncio.sleep(6.0)
+        assert robot.resources.query("ros").state is esair.ResourceState.READY
+        citizen.fake.stall()
+        await asyncio.sleep(1.5)
+        assert "/nowhere" not in str(robot.resources.query("range").error)
+
+
 @pytest.mark.promise("ROS-3")
 async def test_another_type_is_one_warning(caplog: pytest.LogCaptureFixture) -> None:
     """It names both types and whose it is; it is told once, also after a restart."""

@@ -109,6 +109,8 @@ class PeerBus(Bus):
         self.network: PeerNetwork = network
         self.round_trip: float = math.inf
         """How long a beat and its echo have taken last, in seconds."""
+        self.why: Callable[[], str] = str
+        """Tells why nobody is heard, as far as the network knows that itself."""
         self.told_at: dict[str, float] = {}
         """Of each sensor when a reading was said last."""
         self._pace = Pace(_KEPT)
@@ -218,7 +220,7 @@ class PeerBus(Bus):
     def _why(self, told: str) -> str:
         """Return why the peer is silent, if that is not what is thought."""
         if self._heard_there in {0, self._run}:
-            return told
+            return self.why() or told
         return f"it hears another robot of the name {self.network.me!r}"
 
     def _gone(self, told: str) -> None:

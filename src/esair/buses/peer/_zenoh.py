@@ -12,6 +12,7 @@ import collections
 import contextlib
 import json
 import logging
+import math
 import os
 import re
 import threading
@@ -241,6 +242,7 @@ class Network:
     _keeper: threading.Thread | None = attrs.field(default=None, init=False)
     _wake: threading.Event = attrs.field(factory=threading.Event, init=False)
     _opening: asyncio.Task[Any] | None = attrs.field(default=None, init=False)
+    _days: tuple[float, float] = attrs.field(default=(-math.inf, math.inf), init=False)
 
     def __attrs_post_init__(self) -> None:
         for name in (self.me, *self.peers):
@@ -272,32 +274,35 @@ class Network:
         try:
             context.load_verify_locations(tls.ca)
             field = "certificate"
-            subject = [
-                pair for part in _decoded(tls.certificate)["subject"] for pair in part
-            ]
+            subject = sum(_decoded(tls.certificate)["subject"], ())
             field = "key"
             context.load_cert_chain(tls.certificate, tls.key, password="")
         except OSError as error:
             told = f"expected {_OF_TLS[field]}, in PEM: {describe(error)}"
             raise ConfigError("network", f"tls.{field}", told) from None
-        if ("commonName", self.me) not in subject:
-            names = " and ".join(
-                repr(name) for key, name in subject if key == "commonName"
-            )
-            told = f"expected that of {self.me!r}, not of {names or 'nobody'}"
+        names = [name for key, name in subject if key == "commonName"]
+        if self.me not in names:
+            others = " and ".join(map(repr, names)) or "nobody"
+            told = f"expected that of {self.me!r}, not of {others}"
             raise ConfigError("network", "tls.certificate", told)
 
     def _check_days(self, tls: Tls, owner: str) -> None:
-        """Say why nobody would be heard; a clock may be set right at any time."""
         import ssl
 
-        days = _decoded(tls.certificate)
-        first, last = days["notBefore"], days["notAfter"]
-        at, seconds = time.time(), ssl.cert_time_to_seconds
-        if not seconds(first) <= at <= seconds(last):
-            now = time.strftime("%b %d %H:%M:%S %Y GMT", time.gmtime(at))
-            told = f"the certificate of this robot is of {first} to {last}"
-            raise DeviceLostError(owner, f"{told}; by this clock it is {now}")
+        days, seconds = _decoded(tls.certificate), ssl.cert_time_to_seconds
+        self._days = seconds(days["notBefore"]), seconds(days["notAfter"])
+        if told := self.why():
+            raise DeviceLostError(owner, told)
+
+    def why(self) -> str:
+        """Return why nobody is heard; a clock may be set right at any time."""
+        (first, last), now = self._days, time.time()
+        if first <= now <= last:
+            return ""
+        days = map(time.gmtime, (first, last, now))
+        told = (time.strftime("%b %d %H:%M:%S %Y GMT", each) for each in days)
+        of = "the certificate of this robot is of {} to {}; by this clock it is {}"
+        return of.format(*told)
 
     def _wrong(self, endpoint: str) -> str | None:
         found = _ENDPOINT.fullmatch(endpoint)
@@ -326,6 +331,7 @@ class Network:
             told = "the robot has a bus to it already: give that to all its parts"
             raise ConfigError(bus.name, "network", told)
         self._users[bus.name] = peer = _Peer(bus)
+        bus.why = self.why
         if self._session is None and self._opening is None:
             if self.insecure and self.tls is None:
                 told = "network: insecure: everybody who reaches it can drive %s"
@@ -367,9 +373,9 @@ class Network:
         """Bring to the loop what has come, on a thread of zenoh."""
         rest, _, what = str(sample.key_expr).rpartition("/")
         peer = self._users.get(rest.rpartition("/")[2])
-        if peer is None:
-            return
-        peer.come(way, what, sample.payload)
+        # Zenoh ends each way of a certificate that is over, but not one of that second.
+        if peer is not None and not self.why():
+            peer.come(way, what, sample.payload)
 
     async def leave(self, bus: PeerBus) -> None:
         """Hear no more of a peer; with the last one the network is closed."""

@@ -12,6 +12,7 @@ import socket
 import struct
 import subprocess
 from collections.abc import Awaitable, Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol
 
@@ -172,7 +173,7 @@ class Ros:
                 pause = _FIRST
             told = f"the process of {bus.name} has ended: {why}"
             bus.stats.errors += 1
-            bus.stats.last_error = told
+            bus.stats.last_error, bus.why = told, partial(str, told)
             _log.warning("%s; it is begun again in %.3g s", told, pause)
             await asyncio.sleep(pause)
             pause = min(2.0 * pause, _MOST)
@@ -202,7 +203,7 @@ class Ros:
                     self._complain(bus, f"from ROS: {describe(error)}")
                     continue
                 if said is not None:
-                    head = frame[1:6]
+                    head, bus.why = frame[1:6], str
                     door.end(("peer", bus.name), bus.came, *said)
         finally:
             self._far = None
