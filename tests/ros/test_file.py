@@ -66,6 +66,11 @@ class Where(esair.Sensor[Pose]):
         return Pose(1.0, 2.0, 0.0)
 
 
+class Bumper(esair.Sensor[float]):
+    async def read(self):
+        return 0.0
+
+
 class Docking(esair.Behavior):
     scan = esair.reads(object)
     docked = 0
@@ -117,6 +122,9 @@ request = "MODULE:Dock"
 
 [sensor.where]
 driver = "MODULE:Where"
+
+[sensor.bumper]
+driver = "MODULE:Bumper"
 
 [actuator.wheels]
 driver = "MODULE:Wheels"
@@ -196,6 +204,8 @@ async def test_what_it_stands_for(file: Path) -> None:
         ("priority = 5", "latched = true", "latched", "a command of before would"),
         ("priority = 5", "rate = 0", "topics.'/cmd_vel'.rate", "more than 0 and at"),
         ("rate = 10.0", "rate = -1.0", "topics.'/odom'.rate", "more than 0 and at"),
+        ("priority = 5", 'frame = "map"', "cmd_vel", "Twist has no header.frame_id"),
+        ('sensor = "scan"', 'publish = "bumper"', "scan", "is more than one float"),
         ("priority = 5", "priorty = 5", "priorty", "did you mean 'priority'"),
         ('sensor = "scan"', 'sensor = "where"', "scan", "a sensor 'where' already"),
         ('services."/dock"', 'services."/scan"', "services", "a topic '/scan' already"),
@@ -216,7 +226,7 @@ def test_a_mistake_is_found_before_anything_moves(
 @pytest.mark.promise("ROS-1")
 def test_a_simulation_joins_no_graph_by_an_omission(file: Path) -> None:
     """It could move what is real: it needs ``sim``, whose keys replace those beside it."""
-    for part in ("sensor.where", "actuator.wheels"):
+    for part in ("sensor.where", "sensor.bumper", "actuator.wheels"):
         change(file, f"[{part}]", f"[{part}]\nsim = {{}}")
     with pytest.raises(ExceptionGroup) as refused:
         load(file, simulated=True)

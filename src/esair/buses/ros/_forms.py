@@ -134,6 +134,7 @@ READY: Final[Mapping[str, tuple[type, Mapping[str, str]]]] = {
 
 _ROWS: Final = {"tf2_msgs/msg/TFMessage": "transforms"}
 _ONE: Final = re.compile(r"std_msgs/msg/(Float|U?Int|String|Bool)?(?!.*Array)")
+_FRAMES: Final = {"header.frame_id", "child_frame_id"}
 _OF_ONE: Final = {"Float": float, "Int": int, "UInt": int, "String": str, "Bool": bool}
 
 
@@ -217,10 +218,14 @@ def form_of(
         fixed: What is published at some paths, whatever the value.
 
     Raises:
-        ValueError: A field has no path.
+        ValueError: A field has no path, or the type has not what is fixed.
     """
     ready, paths = READY.get(ros, (None, None))
     fixed = fixed or {}
+    there = () if ros.startswith("std_msgs/") else paths and paths.values()
+    for path in _FRAMES & fixed.keys():
+        if there is not None and path not in there:
+            raise ValueError(f"{ros} has no {path}")
     if isinstance(fields, str):
         return Form(kind, fields, fixed)
     of: Any = kind or ready
@@ -228,6 +233,9 @@ def form_of(
     if of not in kinds:
         if fields is None and (one := _ONE.match(ros)) is not None:
             return Form(kind or _OF_ONE.get(one[1]), "data", fixed)
+        if ready is not None and kind in _OF_ONE.values():
+            hint = f"expected fields = 'PATH', or a class such as {ready.__name__}"
+            raise ValueError(f"{ros} is more than one {kind.__name__}: {hint}")
         return Form(kind, "", fixed)
     shape, fields = kinds.shape(of), fields or {}
     known = {**(dict.fromkeys(shape.fields) if paths is None else paths), **fields}
