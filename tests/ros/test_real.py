@@ -7,6 +7,7 @@ import base64
 import contextlib
 import functools
 import json
+import logging
 import os
 import random
 import signal
@@ -332,8 +333,11 @@ class Counts(Hand):
 
 
 @pytest.mark.promise("ROS-1")
-async def test_what_does_not_fit_a_type_of_ros_is_not_sent() -> None:
-    """No other number is sent for it, and whoever asked has an answer; all else goes on."""
+async def test_what_does_not_fit_a_type_of_ros_is_not_sent(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """It is told with its topic, and whoever asked has an answer; all else goes on."""
+    caplog.set_level(logging.INFO, logger="esair")
     made, counts, kind = citizen(), Counts(), "test_msgs/srv/BasicTypes"
     form, answer = ros.form_of(kind, Ask), ros.form_of(kind, Basic)
     number, rows = (
@@ -363,6 +367,7 @@ async def test_what_does_not_fit_a_type_of_ros_is_not_sent() -> None:
         judge.do("goal", "/large", "test_msgs/action/Fibonacci", {"order": 3})
         result = await judge.until("result", "/large")
         assert result[2:] == [6, {"sequence": []}]  # STATUS_ABORTED
+        assert "[rover]: /number: " in caplog.text
         judge.do("hear", "/number", "std_msgs/msg/UInt8")
         number.feed(7)
         assert (await judge.until("heard", "/number"))[2] == {"data": 7}

@@ -637,7 +637,8 @@ def main() -> None:
         try:
             bridge.took(frame)
         except Exception as error:  # what does not fit a type of ROS harms nobody else
-            if (line := f"{frame[0]}: {error}") not in told and len(told) < MOST:
+            name = frame[6] if frame[0] == "publish" else frame[0]
+            if (line := f"{name}: {error}") not in told and len(told) < MOST:
                 told.add(line)
                 node.get_logger().error(line)
             if frame[0] == "ask":
