@@ -78,6 +78,9 @@ class Peer(Sensor[PeerStatus]):
     bus: PeerBus
     period: float | None = 1.0
 
+    def __init__(self, **settings: Unpack[SensorSettings]) -> None:
+        super().__init__(**settings)
+
     async def stream(self) -> AsyncIterator[PeerStatus]:
         """Yield what the bus has counted, twice a second."""
         bus = self.bus
