@@ -457,7 +457,7 @@ class BehaviorVerbs(PortVerbs):
                     raise
                 if error is not None:
                     raise error
-        except BaseException as raised:  # its asker is told, and in the child its worker
+        except BaseException as raised:  # its asker and its worker are told it
             if raised is not error:
                 raise
 
