@@ -128,6 +128,7 @@ class ActuatorChannel(Device):
         """Take over changed limits and time-outs."""
         self.wire.configured()
         self.checked = self.wire.check.checked
+        self._settle()
         self._dead_man.hurry()
 
     # What others ask.

@@ -337,7 +337,7 @@ class ResourceLife:
         self.tried: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         """Done when the device was tried for the first time."""
         self.configuring: asyncio.Lock = asyncio.Lock()
-        """Held while settings are applied, or an operation runs: one at a time."""
+        """Held while settings are applied: one change at a time, none in an opening."""
         self.operations = 0  # how many operations wait or run
         self._loop = asyncio.get_running_loop()
         self._told_of = News(self._loop, (resource.name, "news"), self._hear_of)
@@ -633,9 +633,11 @@ class ResourceLife:
 
     async def _try_to_open(self, patience: float = math.inf) -> BaseException | None:
         try:
-            moves = isinstance(self.channel, ActuatorChannel)
-            with self.device.driver.urgency.raised(OPENING if moves else 0):
-                await self.device.open(patience)
+            # A change of settings that the loss has interrupted has to be over.
+            async with self.configuring:
+                moves = isinstance(self.channel, ActuatorChannel)
+                with self.device.driver.urgency.raised(OPENING if moves else 0):
+                    await self.device.open(patience)
         except Exception as error:
             return error
         return None
