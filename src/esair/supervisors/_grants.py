@@ -377,10 +377,11 @@ class BehaviorStep:
     registrations in that name, which end with it.
     """
 
-    under: BehaviorStep | None  # the step that performs it, if it is not its member
-
-    def __init__(self, behavior: Behavior, member: Member) -> None:
+    def __init__(
+        self, behavior: Behavior, member: Member, under: BehaviorStep | None
+    ) -> None:
         self.behavior, self._member = behavior, member
+        self.under = under  # the step that performs it, if it is not its member
         self.needs = tuple(behavior.needs.values())
         self.mail = member.mail
         self.grants = Grants(member.name, member.crew, member.action.needs)
@@ -420,12 +421,12 @@ class BehaviorStep:
             if self.portal is not None:
                 self.portal.close()
 
-    def end(self, _: bool = False) -> None:
+    def end(self) -> None:
         """Let it move nothing any more, nor what it performs, whatever they do."""
         self._is_over = True
         for step in self._member.steps:
             if step.under is self:
-                step.end(False)
+                step.end()
         for registration in tuple(self.own):
             self._member.crew.resources.control.revoke(registration)
         take_back(self.behavior, self, self.portal)  # it gets no others, either
@@ -440,7 +441,6 @@ class Step:
     """A reaction that is performed now: what runs it, and whether it sees."""
 
     portal = None
-    under: BehaviorStep | None  # as that of a behavior
 
     def __init__(
         self,
@@ -449,8 +449,10 @@ class Step:
         until: Callable[..., bool] | None,
         blind_timeout: float | None,
         seat: Seat | StepSeat | None,
+        under: BehaviorStep | None,
     ) -> None:
         self._reaction, self._member = reaction, member
+        self.under = under  # as that of a behavior
         self.sight = sight = _sight_of_step(reaction, member)
         hooks = Hooks(
             state=self._state,
@@ -526,7 +528,7 @@ class Step:
         if error is not None:
             self.crash(error)
 
-    def end(self, result: bool) -> None:
+    def end(self, result: bool = False) -> None:
         if not self._ended.done():
             self._ended.set_result(result)
 

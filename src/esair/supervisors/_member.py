@@ -175,8 +175,8 @@ class Member:
     ) -> bool:
         """Run a reaction until its condition comes true or its time is over."""
         self._check_step(reaction)
-        step = Step(reaction, self, until, blind_timeout, seat)
-        return bool(await self._perform(step, timeout, under))
+        step = Step(reaction, self, until, blind_timeout, seat, under)
+        return bool(await self._perform(step, timeout))
 
     async def perform_behavior(
         self,
@@ -186,20 +186,14 @@ class Member:
     ) -> Any:
         """Run a behavior to its end, in the task of its performer."""
         self._check_step(behavior)
-        return await self._perform(BehaviorStep(behavior, self), timeout, under)
+        return await self._perform(BehaviorStep(behavior, self, under), timeout)
 
     def _check_step(self, action: Behavior | Reaction) -> None:
         self.mail.check_speaker()
         found = examine_step(self.crew.resources.plan, action, performer=self.name)
         refuse(found, f"what {self.name} performs is described wrongly")
 
-    async def _perform(
-        self,
-        step: Step | BehaviorStep,
-        timeout: float | None,
-        under: BehaviorStep | None,
-    ) -> Any:
-        step.under = under
+    async def _perform(self, step: Step | BehaviorStep, timeout: float | None) -> Any:
         self.crew.performing[self] = None
         self.steps = (*self.steps, step)
         try:
