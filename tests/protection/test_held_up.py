@@ -180,4 +180,5 @@ def test_what_a_stream_brought_meanwhile_is_as_old_as_it_is() -> None:
 
     with asyncio.Runner(loop_factory=esair.new_event_loop) as runner:
         runner.run(main())
+    assert len(seen) > 4
     assert max(seen) < 0.1
