@@ -9,6 +9,7 @@ import pytest
 from tests.supervisors.actors import Driver, Idle, State, wheels
 
 import esair
+from esair.supervisors._grants import Step
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = pytest.mark.virtual_clock
@@ -204,6 +205,7 @@ async def test_the_first_end_of_a_performed_reaction_counts() -> None:
         performing = asyncio.ensure_future(idle.perform(Follow()))
         await device.until(1.0)
         (perform,) = robot._behaviors.members["idle"].steps
+        assert isinstance(perform, Step)
         perform.end(True)
         perform.end(False)
         perform.crash(RuntimeError("late"))
