@@ -39,6 +39,36 @@ async def test_words_are_escaped_and_a_long_line_ends_nothing(
     assert told == ["ros: \\x1b[31mred", "ros: last"]
 
 
+@pytest.mark.promise("ROS-2")
+@pytest.mark.parametrize(
+    ("line", "level"),
+    [
+        ("[WARN] [1.5] [rover]: New publisher, incompatible QoS", logging.WARNING),
+        ("[ERROR] [1.5] [rover]: /number: does not fit", logging.ERROR),
+        ("[FATAL] [1.5] [rover]: no more", logging.CRITICAL),
+        ("[RTPS_TRANSPORT_SHM Error] Failed init_port", logging.ERROR),
+        ("[INFO] [1.5] [rover]: WARN is a word", logging.INFO),
+    ],
+)
+async def test_a_line_is_as_grave_as_ros_says(
+    caplog: pytest.LogCaptureFixture, line: str, level: int
+) -> None:
+    """A warning of ROS, or of DDS below it, is one of the robot."""
+    caplog.set_level(logging.INFO, logger="esair")
+    nobody: Any = None
+    bus: Any = SimpleNamespace(name="ros")
+    living = Living(bus, nobody, nobody, nobody, nobody)
+    words = asyncio.StreamReader()
+
+    living.hear(words)
+    words.feed_data(line.encode() + b"\n")
+    words.feed_eof()
+    assert living._hearing is not None
+    await living._hearing
+
+    assert [each.levelno for each in caplog.records] == [level]
+
+
 @pytest.mark.real_clock
 @pytest.mark.promise("BS-10", "ROS-1")
 async def test_what_comes_once_has_room_beside_large_readings() -> None:

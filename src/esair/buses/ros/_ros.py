@@ -36,6 +36,9 @@ _PACE, _BURST = 0.0005, 16  # a frame is taken so often, in seconds; so many at 
 _SILENT: Final = 2.0  # a process that has spoken is stuck after so many seconds without
 _STARTING: Final = 30.0  # how long it may take until it speaks, in seconds
 _FIRST, _MOST = 0.2, 5.0  # how long it stays ended, in seconds: ever longer
+_GRAVE: Final = re.compile(
+    r"\b(WARN|ERROR|FATAL|Warning|Error)\]"
+)  # as DDS has it, too
 
 
 @attrs.frozen
@@ -358,7 +361,8 @@ class Living:
     _has_ended: bool = False
 
     def hear(self, words: asyncio.StreamReader) -> None:
-        """Log what it prints, and keep its last words."""
+        """Log what it prints, as grave as it says that is, and keep its last words."""
+        levels = logging.getLevelNamesMapping()
 
         async def log() -> None:
             while True:
@@ -369,7 +373,9 @@ class Living:
                 if not line:
                     return
                 self._words.append(printable(line.decode("utf-8", "replace").strip()))
-                _log.info("%s: %s", self.bus.name, self._words[-1])
+                grave = _GRAVE.search(self._words[-1])
+                level = grave[1].upper() if grave else "INFO"
+                _log.log(levels[level], "%s: %s", self.bus.name, self._words[-1])
 
         self._hearing = spawn(asyncio.get_running_loop(), log(), name="what ros prints")
 
