@@ -391,6 +391,24 @@ async def test_why_there_is_no_process_is_told_of_what_it_had() -> None:
         assert "/nowhere" not in str(robot.resources.query("range").error)
 
 
+@pytest.mark.promise("ROS-2")
+async def test_a_process_that_has_not_spoken_yet_is_starting() -> None:
+    """That is what its parts are LOST for: ROS needs a second or more for its start."""
+
+    async def slow(bus: PeerBus, setup: dict[str, Any]) -> Any:
+        await asyncio.sleep(1.0)
+        return await citizen.fake(bus, setup)
+
+    citizen = Citizen(slow)
+    async with citizen.robot() as robot:
+        assert "its process is starting" in str(robot.resources.query("range").error)
+        await asyncio.sleep(2.0)
+        assert robot.resources.query("ros").state is esair.ResourceState.READY
+        citizen.fake.stall()
+        await asyncio.sleep(1.5)
+        assert "starting" not in str(robot.resources.query("range").error)
+
+
 @pytest.mark.promise("ROS-3")
 async def test_another_type_is_one_warning(caplog: pytest.LogCaptureFixture) -> None:
     """It names both types and whose it is; it is told once, also after a restart."""

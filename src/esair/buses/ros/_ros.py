@@ -126,6 +126,7 @@ class Ros:
         for link in self.links:
             bus.declare(link.form.kind)
             bus.declare(link.answer.kind)
+        bus.why = partial(str, "its process is starting")
         self._life = spawn(asyncio.get_running_loop(), self._live(bus), name="ros")
 
         def send(what: str, data: bytes) -> None:
