@@ -281,6 +281,28 @@ async def test_services_and_actions_each_way() -> None:
         await judge.until("cancelled", "/far_count")
 
 
+@pytest.mark.promise("ROS-1")
+async def test_what_was_refused_is_told_with_its_name(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """As a warning; what ROS has cancelled itself is none."""
+    made = citizen()
+    async with judging() as judge, made.robot() as robot:
+        await there(robot)
+        judge.do("goal", "/count", "test_msgs/action/Fibonacci", {"order": 5})
+        await judge.until("feedback", "/count")
+        judge.do("cancel")
+        await judge.until("result", "/count")
+        judge.do("call", "/light", "std_srvs/srv/SetBool", {"data": False})
+        await judge.until("answer", "/light")
+        await until(lambda: "it stays lit" in caplog.text)
+    told = [
+        each.getMessage() for each in caplog.records if "[rover]" in each.getMessage()
+    ]
+    assert len(told) == 1
+    assert told[0].endswith("[rover]: /light: declined: it stays lit")
+
+
 @pytest.mark.promise("NET-3", "ROS-1")
 async def test_what_a_server_has_begun_ends_with_it() -> None:
     """Who waits for its answer, however long, hears that nobody knows what came of it."""

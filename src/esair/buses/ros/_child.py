@@ -249,7 +249,7 @@ class Bridge:
         """Ask for it no more."""
         if number in self.served:
             self.say("cancel", number)
-            self._answer(number, "failed", "cancelled")
+            self._answer(number, "cancelled", "by who asked")
 
 
 def plain(value: Any, roots: Any = ()) -> Any:
@@ -400,18 +400,21 @@ class Graph:
                 *(name, plain(request), lambda *end: future.set_result(end)),
                 lambda _: None,
             )
-            return self._filled(response, *await future)[0]
+            return self._filled(name, response, *await future)[0]
 
         self.node.create_service(link["class"], name, serve, callback_group=self.group)
 
-    def _filled(self, response: Any, how: str, value: Any) -> tuple[Any, bool]:
+    def _filled(
+        self, name: str, response: Any, how: str, value: Any
+    ) -> tuple[Any, bool]:
         """Return a response, and whether it is an answer that fits."""
         if how == "answered":
             try:
                 return fill(response, value), True
             except Exception as error:  # one that does not fit ends this call alone
                 how, value, response = "failed", error, type(response)()
-        self.node.get_logger().warning(f"{how}: {value}")
+        if how != "cancelled":
+            self.node.get_logger().warning(f"{name}: {how}: {value}")
         for name, part in (("success", False), ("message", str(value))):
             if hasattr(response, name):
                 setattr(response, name, part)
@@ -436,7 +439,7 @@ class Graph:
             numbers[bytes(goal.goal_id.uuid)] = number
             if goal.is_cancel_requested:
                 self.bridge.give_up(number)
-            result, is_done = self._filled(kind.Result(), *await future)
+            result, is_done = self._filled(name, kind.Result(), *await future)
             del numbers[bytes(goal.goal_id.uuid)]
             if is_done:
                 goal.succeed()
