@@ -303,6 +303,31 @@ async def test_what_was_refused_is_told_with_its_name(
     assert told[0].endswith("[rover]: /light: declined: it stays lit")
 
 
+@pytest.mark.promise("ROS-3")
+async def test_another_node_of_its_name_is_one_warning(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Both would obey the same topics; one of before that was killed is none."""
+    made = citizen()
+    made.network.node = "judge"
+
+    def told() -> int:
+        return caplog.text.count("another node has this name")
+
+    async with made.robot() as robot:
+        await there(robot)
+        far: Any = made.network._far
+        os.kill(far.popen.pid, signal.SIGKILL)
+        await asyncio.sleep(1.0)
+        await there(robot)
+        await asyncio.sleep(30.0)
+        assert told() == 0
+        async with judging():
+            await until(told, seconds=45.0)
+            await asyncio.sleep(3.0)
+    assert told() == 1
+
+
 @pytest.mark.promise("NET-3", "ROS-1")
 async def test_what_a_server_has_begun_ends_with_it() -> None:
     """Who waits for its answer, however long, hears that nobody knows what came of it."""

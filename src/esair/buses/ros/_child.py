@@ -25,6 +25,7 @@ from typing import Any
 
 BEAT = 0.05  # how often it beats, in seconds
 LOOK = 20  # beats after which it looks for other types, and tells what it wants
+GHOST = 25  # looks for which the graph still has a node that was killed
 UNKNOWN = "_NODE_NAME_UNKNOWN_"  # as DDS calls a node of which it has not heard yet
 SHARE = 4  # readings of one topic that may wait to be sent; what comes then is dropped
 KEPT = 1 << 20  # bytes that may wait: beyond that one reading of a topic
@@ -338,6 +339,7 @@ class Graph:
         self.clients: dict[str, Any] = {}
         self.served: list[Any] = []
         self.missing: dict[str, str] = {}
+        self.doubled = 0
         for link in links:
             try:
                 link["class"] = found(link["type"])
@@ -547,6 +549,11 @@ class Graph:
         from rclpy.action import get_action_names_and_types as actions
 
         node, there = self.node, {}
+        me = node.get_name(), node.get_namespace()
+        is_double = node.get_node_names_and_namespaces().count(me) > 1
+        self.doubled = self.doubled + 1 if is_double else 0
+        if self.doubled == GHOST:
+            node.get_logger().warning("another node has this name: end one of them")
         there["topic"] = dict(node.get_topic_names_and_types())
         there["service"] = dict(node.get_service_names_and_types())
         there["action"] = dict(actions(node))
