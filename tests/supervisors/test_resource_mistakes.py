@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
@@ -123,3 +124,57 @@ async def test_a_device_on_a_bus_that_fits_starts(chip: Any) -> None:
     """One of several, or one that cannot be told."""
     async with esair.Robot(resources=[chip()]) as robot:
         assert len(robot.resources.names()) == 1
+
+
+def raises(_: Any) -> Any:
+    """Compute an attribute of a class whose author made a mistake."""
+    raise ValueError("boom")
+
+
+@pytest.mark.parametrize(
+    "field", ["can_tell_set_up", "value_type", "deadline", "limits"]
+)
+async def test_a_property_that_raises_is_a_mistake_of_one_field(field: str) -> None:
+    """Its component and its name are told, of a robot as of what is added to one."""
+    broken = type("Broken", (Chip,), {field: property(raises)})
+    said = f"broken: {field}: expected a value, its property raises ValueError: boom"
+
+    assert await refused(broken(bus=FakeI2c())) == [said]
+    async with esair.Robot() as robot:
+        with pytest.raises(esair.ConfigError, match=said):
+            await robot.resources.add(broken(bus=FakeI2c()))
+
+
+@pytest.mark.parametrize("field", ["inbox_size", "restart", "essential"])
+async def test_a_property_of_a_behavior_is_one_too(field: str) -> None:
+    """No other rule is asked of what cannot tell its own fields."""
+    broken = type("Broken", (esair.Behavior,), {field: property(raises)})
+
+    with pytest.raises(ExceptionGroup) as caught:
+        await esair.Robot(behaviors=[broken()]).__aenter__()
+    assert [each.field for each in caught.value.exceptions] == [field]
+
+
+async def test_a_property_that_raises_later_does_not_hang_the_start() -> None:
+    """Its device has been opened: it counts as a fault of its driver, and is tried again."""
+
+    class Late(FakeActuator):
+        """It can be told whether it is set up, or not, before it is open."""
+
+        is_open = False
+
+        async def open(self) -> None:
+            self.is_open = True
+
+        @property
+        def can_tell_set_up(self) -> bool:
+            if self.is_open:
+                raise ValueError("boom")
+            return False
+
+    async with asyncio.timeout(5.0):
+        async with esair.Robot(resources=[Late("wheels", safe=0.0)]) as robot:
+            status = robot.resources.query("wheels")
+
+    assert status.state is esair.ResourceState.LOST
+    assert "boom" in str(status.error)

@@ -250,6 +250,28 @@ def _in_instance(component: Component) -> Iterator[tuple[str, str]]:
 
 
 @once_for_class
+def _computed(cls: type[Component]) -> list[str]:
+    """Return what esair asks of a component that its class computes by a property."""
+    bases = (Sensor, Actuator, Behavior, Reaction)
+    base = next((each for each in bases if issubclass(cls, each)), cls)
+    computed = inspect.getmembers_static(cls, lambda value: isinstance(value, property))
+    esairs = {**hints_of(base), **dict(inspect.getmembers_static(base))}
+    return [n for n, each in computed if esairs.get(n, each) is not each]
+
+
+def raising(component: object) -> Finding | None:
+    """Find a property that raises: nothing else can be told of the component then."""
+    fields = _computed(type(component)) if isinstance(component, Component) else ()
+    for field in fields:
+        try:
+            getattr(component, field)
+        except Exception as error:
+            told = f"expected a value, its property raises {describe(error)}"
+            return mistake("declaration", component, field, told)
+    return None
+
+
+@once_for_class
 def _in_class(cls: type[Component]) -> list[tuple[str, str]]:
     """Return each declaration that a class of this kind does not take, and why."""
     if not issubclass(cls, Behavior):

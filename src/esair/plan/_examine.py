@@ -20,6 +20,7 @@ from esair.plan._declarations import (
     mistakes_in_action,
     mistakes_in_resource,
     mistyped,
+    raising,
     unplaceable,
 )
 from esair.plan._needs import (
@@ -115,7 +116,7 @@ def _unknown(
 
 
 def wrong_kind(component: object, *, resource: bool) -> Finding | None:
-    """Find what is no resource, or no action, or has no good name."""
+    """Find what is no resource, or no action, has no good name, or cannot be asked."""
     wanted: tuple[type, ...] = (Sensor, Actuator) if resource else (Behavior, Reaction)
     of_min = (minimal.Sensor, minimal.Actuator) if resource else (minimal.Reaction,)
     if not isinstance(component, wanted):
@@ -135,7 +136,7 @@ def wrong_kind(component: object, *, resource: bool) -> Finding | None:
             raise ConfigError(name, "name", told)
     except EsairError as error:
         return because("name", component, error)
-    return None
+    return raising(component)
 
 
 def in_use(component: object) -> bool:
@@ -342,6 +343,9 @@ def examine(plan: Plan) -> list[Finding]:
         What was found: resources, behaviors, policies, in this order, and then what
         only the whole shows.
     """
+    components = [*plan.resources, *plan.behaviors]
+    if found := [*filter(None, map(raising, components))]:
+        return found  # no rule could ask them
     return [
         *_names(plan),
         *_about_resources(plan, plan.resources),

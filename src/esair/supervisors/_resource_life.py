@@ -577,10 +577,9 @@ class ResourceLife:
             if error is None and self.device.watch is not None:
                 await self.device.watch.open()  # nothing moves before it has answered
             absent = is_absence(error)
-            error = error or self._lost
+            error = error or self._lost or self._up()
             if error is None:
                 up_since = self._loop.time()
-                self._up()
                 self._first_try()
                 error = self._lost or await self._wait_for_news(None)
                 assert error is not None
@@ -642,13 +641,18 @@ class ResourceLife:
             return error
         return None
 
-    def _up(self) -> None:
+    def _up(self) -> Exception | None:
+        """Have it used, unless what its driver says of itself raises: return that."""
         self._faults_in_row = 0
-        self.channel.up()
-        self._look_after(self.resource.set_up_period)
+        try:
+            self.channel.up()
+            self._look_after(self.resource.set_up_period)
+        except Exception as error:
+            return error
         self.life.tell(Kind.UP)
         if self.losses:
             _log.info("%s: back", self.name)
+        return None
 
     def _down(self, error: BaseException) -> None:
         if self.channel.state is ResourceState.LOST:
