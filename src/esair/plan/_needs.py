@@ -300,8 +300,8 @@ def underivable(plan: Plan, derived: Derived[Any]) -> Iterator[Finding]:
         yield mistake("need", derived, "", told)
 
 
-def _circle(plan: Plan, derived: Derived[Any]) -> list[str]:
-    """Return the way from a derived sensor back to itself; nothing if there is none."""
+def _circle(plan: Plan, derived: Derived[Any]) -> list[str] | None:
+    """Return the way from a derived sensor back to itself; None if there is none."""
     paths = [[derived.name]]
     seen: set[str] = set()
     while paths:
@@ -315,7 +315,7 @@ def _circle(plan: Plan, derived: Derived[Any]) -> list[str]:
             if need.resource not in seen:
                 seen.add(need.resource)
                 paths.append([*path, need.resource])
-    return []
+    return None
 
 
 def depths(resources: Sequence[Resource]) -> dict[str, int]:
