@@ -131,9 +131,7 @@ def raises(_: Any) -> Any:
     raise ValueError("boom")
 
 
-@pytest.mark.parametrize(
-    "field", ["can_tell_set_up", "value_type", "deadline", "limits"]
-)
+@pytest.mark.parametrize("field", ["value_type", "deadline", "limits"])
 async def test_a_property_that_raises_is_a_mistake_of_one_field(field: str) -> None:
     """Its component and its name are told, of a robot as of what is added to one."""
     broken = type("Broken", (Chip,), {field: property(raises)})
@@ -155,26 +153,25 @@ async def test_a_property_of_a_behavior_is_one_too(field: str) -> None:
     assert [each.field for each in caught.value.exceptions] == [field]
 
 
-async def test_a_property_that_raises_later_does_not_hang_the_start() -> None:
-    """Its device has been opened: it counts as a fault of its driver, and is tried again."""
+async def test_what_is_asked_when_open_may_not_be_known_before() -> None:
+    """Of a driver that looks at its device for it; what raises then is its fault."""
 
     class Late(FakeActuator):
-        """It can be told whether it is set up, or not, before it is open."""
-
-        is_open = False
+        """It knows by what its device says whether it can tell."""
 
         async def open(self) -> None:
-            self.is_open = True
+            self.can_tell = False
 
         @property
         def can_tell_set_up(self) -> bool:
-            if self.is_open:
-                raise ValueError("boom")
-            return False
+            return self.can_tell
 
+    broken = type("Broken", (Late,), {"can_tell_set_up": property(raises)})
+    parts = [Late("wheels", safe=0.0), broken("arm", safe=0.0)]
     async with asyncio.timeout(5.0):
-        async with esair.Robot(resources=[Late("wheels", safe=0.0)]) as robot:
-            status = robot.resources.query("wheels")
+        async with esair.Robot(resources=parts) as robot:
+            states = [robot.resources.query(each.name) for each in parts]
 
-    assert status.state is esair.ResourceState.LOST
-    assert "boom" in str(status.error)
+    ready, lost = esair.ResourceState.READY, esair.ResourceState.LOST
+    assert [each.state for each in states] == [ready, lost]
+    assert "boom" in str(states[1].error)

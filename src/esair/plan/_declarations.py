@@ -251,11 +251,15 @@ def _in_instance(component: Component) -> Iterator[tuple[str, str]]:
 
 @once_for_class
 def _computed(cls: type[Component]) -> list[str]:
-    """Return what esair asks of a component that its class computes by a property."""
+    """Return what the rules ask of a component that its class computes by a property.
+
+    Not what is asked of a device that is open: before, it may not be known.
+    """
     bases = (Sensor, Actuator, Behavior, Reaction)
     base = next((each for each in bases if issubclass(cls, each)), cls)
     computed = inspect.getmembers_static(cls, lambda value: isinstance(value, property))
     esairs = {**hints_of(base), **dict(inspect.getmembers_static(base))}
+    esairs.pop("can_tell_set_up", None)
     return [n for n, each in computed if esairs.get(n, each) is not each]
 
 
