@@ -59,10 +59,7 @@ class Collector:
         self._robots = 0
         self._up = 0  # how many of them neither start nor stop
         self._before = (0, 0, 0)
-        self._known = 0  # how many blocks of memory there were when all was looked at
-        self._looks_at_all = False
-        self._each = self._each_of_many = _USUAL
-        self._kept = 0.0  # what it takes to look at what was kept, in seconds
+        self._know_nothing()
         self._ended_young = 0  # what the interpreter has collected until the last time
         self._is_ours = False
         self._came, self._began = 0, 0.0  # what there was when a forced one began
@@ -111,9 +108,10 @@ class Collector:
             gc.unfreeze()
 
     def _know_nothing(self) -> None:
-        self._known = sys.getallocatedblocks()
+        self._known = sys.getallocatedblocks()  # when all was looked at
         self._each = self._each_of_many = _USUAL
-        self._kept, self._looks_at_all = 0.0, False
+        self._kept = 0.0  # what it takes to look at what was kept, in seconds
+        self._looks_at_all = False
 
     def reset(self) -> None:
         """Count from nothing."""
@@ -154,21 +152,19 @@ class Collector:
 
     def collect(self, *, forced: bool = False) -> None:
         """Make a full collection now, and measure it."""
-        came, expected, began = self.came(), self._expected(), time.thread_time()
+        came, began = self.came(), time.thread_time()
         self._is_ours = True
         at_all, self._looks_at_all = self._looks_at_all, False
         if at_all:
             gc.unfreeze()
         collected = gc.collect()
         took = time.thread_time() - began
-        self._learn(took, came, collected, forced=forced)
-        if at_all:
-            self._set_aside(at_all=True)
-        elif took > LONG and took > 1.5 * expected:
+        if not at_all and took > 1.5 * LONG:
             gc.collect()  # what is left now was kept
             self._kept = time.thread_time() - began - took
-            if self._kept > LONG:
-                self._set_aside()
+        self._learn(took, came, collected, forced=forced)
+        if at_all or self._kept > LONG:
+            self._set_aside(at_all=at_all)
         self._kept = min(self._kept, took)
         self._is_ours = False
         self._count(time.thread_time() - began, collected, forced=forced)
@@ -200,7 +196,7 @@ class Collector:
         The few of a gap are in the processor's cache: many take longer, each of them.
         """
         if collected >= 1_000 and 2 * collected >= came:
-            each = max(took - self._kept, took / 4) / collected
+            each = max(took - self._kept, took / 4) / max(came, collected)
             self._each = min(max((self._each + each) / 2, 5e-8), 1e-4)
             if forced:
                 usual = (self._each_of_many + each) / 2
