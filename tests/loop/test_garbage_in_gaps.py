@@ -241,6 +241,7 @@ def test_what_died_young_before_the_last_collection_counts_no_more(
     python.looked_at.clear()
     python.come(110_000)
     assert len(python.looked_at) == 1
+    assert (collector.collections, collector.forced) == (4, 3)
 
 
 def test_a_stop_is_not_held_up_by_what_came_before(
@@ -463,6 +464,19 @@ async def test_a_collection_in_a_gap_is_short(
     assert 85 <= len(others) <= 100
     assert (started.forced, started.longest_forced) == (0, 0.0)
     assert started.longest == pytest.approx(many * 2e-7)
+
+
+@pytest.mark.usefixtures("real_time")
+async def test_a_gap_is_used_sooner_on_a_slow_computer(
+    python: Interpreter, started: Collector
+) -> None:
+    """What an object takes is learned in gaps, too: then few wait for each."""
+    python.seconds = 1e-6
+    steps = Steps(python, 0.01, 1_000)
+    await steps.run(3.0)
+    late = [number for when, number in steps.collected if when > 2.0]
+    assert late
+    assert max(late) <= 2_000
 
 
 @pytest.mark.usefixtures("real_time")

@@ -286,11 +286,11 @@ class Gaps(OfLoop):
     def _look_in(self, seconds: float) -> None:
         self._next = self._scheduler.at(self._loop.time() + seconds, self._look)
 
-    def _look(self, _now: float) -> None:
+    def _look(self, now: float) -> None:
         if self._tries or collector.came() >= YOUNG:
             self._loop.call_soon(self._try)  # when the steps of this moment are done
         else:
-            self._look_in(LOOK)
+            self._look_in(min(max(now - self._last, SOON), LOOK))
 
     def _try(self) -> None:
         if self._next is None:
