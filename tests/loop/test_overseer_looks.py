@@ -343,6 +343,7 @@ def test_the_thread_lives_while_something_is_watched() -> None:
     while looks.count("often") < 5 and time.monotonic() < until:
         time.sleep(0.005)
     assert overseer.thread_id == number
+    assert looks.count("rare") < 50  # it sleeps until then
     overseer.leave(rare)
     overseer.leave(rare)  # a fork has none
     assert overseer.thread_id == number
@@ -366,10 +367,9 @@ def test_bytes_of_signals_come_to_who_counts_them_each_once() -> None:
     until = time.monotonic() + 5.0
     while len(came) < 2 and time.monotonic() < until:
         time.sleep(0.005)
-    overseer.drain()
+    assert came == [2, 15]
     overseer.wake()
     overseer.leave(overseer._looks[0])
-    assert came == [2, 15]
     overseer.wake()  # nobody is there
     overseer.drain()
     assert came == [2, 15]

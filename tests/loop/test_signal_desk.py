@@ -6,6 +6,7 @@ import asyncio
 import functools
 import os
 import signal
+import threading
 from collections.abc import Callable, Coroutine, Iterator
 from types import SimpleNamespace
 from typing import Any
@@ -149,8 +150,9 @@ async def test_the_third_leaves_as_soon_as_all_is_safe(process: Process) -> None
     for number in (TERM, INT):
         signal.raise_signal(number)
     process.look(1e12)
+    awoken = process.overseer.awoken
     signal.raise_signal(HUP)
-    assert process.overseer.awoken > 0
+    assert process.overseer.awoken > awoken
     now = process.desk._last_word - LAST_WORD
     process.desk.look(now + LAST_WORD - 0.01)
     assert process.left == []
@@ -398,6 +400,7 @@ def test_asyncios_runner_hears_of_the_first_interrupt(process: Process) -> None:
     ends: list[str] = []
 
     async def program() -> None:
+        runners = signal.getsignal(INT)
         robot.watch.start(interrupts=False)
         signal.raise_signal(INT)
         try:
@@ -410,8 +413,44 @@ def test_asyncios_runner_hears_of_the_first_interrupt(process: Process) -> None:
         await turn()
         assert robot.told == [INT]
         robot.watch.stop()
+        assert signal.getsignal(INT) is runners
 
     with asyncio.Runner() as runner:
         runner.run(program())
     assert ends == ["cancelled"]
     assert signal.getsignal(INT) is signal.default_int_handler
+
+
+@pytest.mark.promise("ROB-5")
+def test_a_robot_that_outlives_the_runner_puts_back_what_that_would(
+    process: Process,
+) -> None:
+    """The runner's own handler would cancel what has ended."""
+    robot = Robot()
+
+    async def program() -> None:
+        robot.watch.start(interrupts=False)
+
+    with asyncio.Runner() as runner:
+        runner.run(program())
+        assert signal.getsignal(INT) == process.desk._handle
+        robot.watch.stop()
+        assert signal.getsignal(INT) is signal.default_int_handler
+
+
+@pytest.mark.promise("ROB-5")
+@alone
+async def test_a_signal_after_a_robot_that_ended_in_another_thread(
+    process: Process,
+) -> None:
+    """Only the main thread can put the handlers back: it does so at the signal."""
+    robot = Robot()
+    robot.watch.start(interrupts=False)
+    other = threading.Thread(target=robot.watch.stop)
+    other.start()
+    other.join()
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(INT)
+    assert robot.told == []
+    assert process.overseer.looks == []
+    assert signal.getsignal(TERM) is signal.SIG_DFL
