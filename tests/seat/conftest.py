@@ -1,8 +1,10 @@
 """A robot with a control socket of its own folder, and clients in threads."""
 
 import asyncio
+import contextlib
 import json
-from collections.abc import Callable
+import time
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +94,24 @@ async def eventually(condition: Callable[[], object], seconds: float = 20.0) -> 
             return
         await asyncio.sleep(0.05)
     raise TimeoutError
+
+
+@contextlib.asynccontextmanager
+async def held() -> AsyncIterator[list[float]]:
+    """For how long the loop is held at a stretch meanwhile, in seconds of its own work."""
+    found: list[float] = []
+
+    async def look() -> None:
+        while True:
+            before = time.thread_time()
+            await asyncio.sleep(0)
+            found.append(time.thread_time() - before)
+
+    looking = asyncio.create_task(look())
+    try:
+        yield found
+    finally:
+        looking.cancel()
 
 
 @pytest.fixture

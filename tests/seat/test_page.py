@@ -20,7 +20,7 @@ from typing import Any
 
 import pytest
 import websockets
-from tests.seat.conftest import STILL, Twist, Wander, eventually
+from tests.seat.conftest import STILL, Twist, Wander, eventually, held
 
 import esair
 from esair.seat import Seat
@@ -240,6 +240,51 @@ async def test_a_flood_of_newcomers_comes_in_one_by_one(served):
         assert 32 <= came <= 64 * (1.0 + time.monotonic() - began)
         for each in flood:
             each.close()
+
+
+UPGRADE = """GET /operate HTTP/1.1\r
+Host: 127.0.0.1:{port}\r
+Origin: http://127.0.0.1:{port}\r
+Upgrade: websocket\r
+Connection: Upgrade\r
+Sec-WebSocket-Version: 13\r
+Sec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r
+\r
+"""
+POST = "POST / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nTransfer-Encoding: chunked\r\n\r\n"
+SHOWN = b"\x81\x9e\0\0\0\0" + TOKEN.encode()
+FLOODS = {
+    "pings": (UPGRADE, b"", b"\x89\x80\0\0\0\0" * 100_000),
+    "words": (UPGRADE, b"", b"\x81\x81\0\0\0\0a" * 100_000),
+    "words of a guest": (UPGRADE, SHOWN, b"\x81\x81\0\0\0\0a" * 100_000),
+    "chunks": (POST, b"", b"1\r\na\r\n" * 100_000),
+}
+
+
+@pytest.mark.promise("SEC-1", "TURN-4")
+@pytest.mark.fault("H08")
+@pytest.mark.parametrize("flood", FLOODS)
+async def test_who_pours_holds_the_loop_for_a_moment(served, flood):
+    """Ten thousand of what is smallest at once: it is looked at piece by piece, if at all."""
+    first, then, rest = FLOODS[flood]
+    async with served(Wander(), page=esair.Page(port=0, token=TOKEN)) as robot:
+        link = await asyncio.open_connection("127.0.0.1", port_of(robot))
+        reader, writer = link
+        async with held() as stretches:
+            writer.write(first.format(port=port_of(robot)).encode())
+            if first is UPGRADE:
+                await reader.readuntil(b"\r\n\r\n")
+            writer.write(then)
+            await asyncio.sleep(0.1 if then else 0.0)
+            writer.write(rest)
+            with contextlib.suppress(OSError, TimeoutError):
+                async with asyncio.timeout(0.5):
+                    while await reader.read(65536):
+                        pass
+            await asyncio.sleep(0.1)
+        writer.close()
+        assert max(stretches) < 0.06
+        assert (await get(robot))[0] == 200
 
 
 STRANGER = """

@@ -16,7 +16,7 @@ import attrs
 import numpy as np
 import pytest
 from tests.patience import within
-from tests.seat.conftest import STILL, Twist, Wander, eventually
+from tests.seat.conftest import STILL, Twist, Wander, eventually, held
 
 import esair
 from esair import messages, seat
@@ -412,6 +412,28 @@ async def test_who_looks_without_end_does_not_hold_the_loop(rover, raw):
                 done[told["id"]] = told["ok"]
         assert 16 < sum(done.values()) < 100
         assert robot.journal.counts()["operator"]["refused"] > 0
+
+
+@pytest.mark.promise("OPS-1", "TURN-4")
+@pytest.mark.parametrize(
+    "flood",
+    [
+        b"\n" * 200_000,
+        b"{" + b"".join(b'"%d":1,' % n for n in range(6000)) + b'"5999":1}\n',
+    ],
+    ids=["lines", "keys"],
+)
+async def test_who_pours_holds_the_loop_for_a_moment(rover, raw, flood):
+    """Many lines at once, a line of many keys: they are looked at piece by piece."""
+    async with rover() as robot, raw() as client:
+        async with held() as stretches:
+            client.send(flood)
+            await client.writer.drain()
+            await asyncio.sleep(0.3)
+        assert max(stretches) < 0.06
+        async with raw() as hand:
+            assert (await hand.do("1", "stop"))["ok"]
+        assert robot.halted
 
 
 @pytest.mark.promise("OPS-3")

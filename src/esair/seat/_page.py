@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from esair.exceptions import ConfigError, describe
 from esair.seat._place import secret_file
-from esair.seat._visitor import Budget, Entry, Visitor, Way, line_of
+from esair.seat._visitor import PIECE, Budget, Entry, Piecewise, Visitor, Way, line_of
 from esair.seat._wire import LIMIT
 
 if TYPE_CHECKING:
@@ -69,6 +69,10 @@ class Lobby:
     def shown(self, client: Any) -> None:
         """One has shown the token: it is a guest, and waits here no more."""
         self._there.pop(_peer(client), None)
+
+    def waits(self, client: Any) -> bool:
+        """Tell whether one has not shown the token yet."""
+        return _peer(client) in self._there
 
     def dismiss(self, client: Any) -> None:
         """One has shown a wrong token, or none: it has a moment to read why it goes."""
@@ -133,20 +137,41 @@ def entrance(lobby: Lobby, context: ssl.SSLContext | None) -> type[asyncio.Proto
                     return  # it has gone meanwhile
                 super().connection_made(secured)
                 early, self._early = self._early, b""
-                if early:
-                    super().data_received(early)
+                self.data_received(early)
 
         def data_received(self, data: bytes) -> None:
-            if self.transport is not None:
-                super().data_received(data)
-            else:  # the handshake is over, and nobody was told yet
+            if self.transport is None:  # the handshake is over, and nobody was told yet
                 self._early += data
+                return
+            for begin in range(0, len(data), PIECE):
+                # After its one question nothing is looked at: a body may be all chunks.
+                if self.cycle is None and self.transport.get_protocol() is self:
+                    super().data_received(data[begin : begin + PIECE])
 
         def connection_lost(self, exc: Exception | None) -> None:
             if self.transport is not None:  # else it never came so far
                 super().connection_lost(exc)
 
     return Entrance
+
+
+def guest(lobby: Lobby) -> type[asyncio.Protocol]:
+    """Return what speaks by a web socket with each that has asked for one."""
+    from uvicorn.protocols.websockets import websockets_sansio_impl as sansio
+
+    class Guest(Piecewise, sansio.WebSocketsSansIOProtocol):  # type: ignore[misc]
+        _bytes = 0
+
+        def data_received(self, data: bytes) -> None:
+            # Who has shown no token has nothing else to say: ten thousand pings would
+            # hold the loop.
+            self._bytes += len(data) if self.handshake_initiated else 0
+            if self._bytes > STRANGE and lobby.waits(self.client):
+                self.transport.abort()
+            else:
+                sansio.WebSocketsSansIOProtocol.data_received(self, data)
+
+    return Guest
 
 
 _STRANGE = re.compile(r"[^a-zA-Z0-9_]")
@@ -191,6 +216,7 @@ WAITING = 256
 """How many lines may wait for a browser that does not read; one more and it goes."""
 
 LINES = 500  # How many lines a browser may send in a second
+STRANGE = 1024  # How many bytes of it are heard before that
 LOGIN = 2.0  # How long a browser may take to show its token, in seconds
 BACKLOG = 16  # How many newcomers may wait in the kernel
 
@@ -270,7 +296,7 @@ class PageServer(Way["_Viewer"]):
             access_log=False,
             lifespan="off",
             http=entrance(self._lobby, page.tls()),
-            ws="websockets-sansio",
+            ws=guest(self._lobby),
             ws_max_size=LIMIT,
             ws_ping_interval=2.0,
             ws_ping_timeout=5.0,

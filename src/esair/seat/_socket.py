@@ -12,7 +12,7 @@ from typing import Any
 from esair.exceptions import BadValueError, BusyError
 from esair.seat._operator import Console
 from esair.seat._place import Place
-from esair.seat._visitor import LONGEST, Budget, Entry, Visitor, Way, line_of
+from esair.seat._visitor import LONGEST, Budget, Entry, Piecewise, Visitor, Way, line_of
 from esair.seat._wire import LIMIT, VERSION, failure
 
 CLIENTS = 16
@@ -86,7 +86,7 @@ def _not_you(user: int) -> dict[str, Any]:
     return {"v": VERSION, "id": None, "ok": False, "error": error}
 
 
-class _Client(Visitor, asyncio.Protocol):
+class _Client(Visitor, Piecewise):
     """One connection: its lines, its answers, what it watches."""
 
     transport: asyncio.Transport
@@ -191,7 +191,7 @@ class _Client(Visitor, asyncio.Protocol):
             self._line += piece
             if len(self._line) >= LIMIT:
                 self._line.clear()
-                self._skips = True
+                self._skips, self.piece = True, LIMIT  # what is skipped costs nothing
                 self.refuse(
                     None,
                     BadValueError("message", "", f"expected at most {LIMIT} bytes"),
@@ -200,7 +200,7 @@ class _Client(Visitor, asyncio.Protocol):
             return
         line, self._line = bytes(self._line), bytearray()
         if self._skips:
-            self._skips = False
+            self._skips, self.piece = False, Piecewise.piece
         elif line.strip():
             self.do(line)
 

@@ -30,6 +30,7 @@ from esair.seat._wire import (
 
 BACKLOG = 1000  # How many lines of the journal wait for a slow client; the newest stay
 ROOM = 64 * 1024  # How many bytes may wait for a client before events wait too
+PIECE = 2048  # How many bytes of a connection are looked at in a turn
 LARGE = 2048  # What has more bytes is shown shortly in a line of the log
 
 VIEWED = 256 * 1024
@@ -276,7 +277,10 @@ class Entry:
     """
 
     def __init__(
-        self, bound: socket.socket, backlog: int, make: Callable[[], asyncio.Protocol]
+        self,
+        bound: socket.socket,
+        backlog: int,
+        make: Callable[[], asyncio.BaseProtocol],
     ) -> None:
         self.newcomers: int = 0  # How many have come in
         self._loop = asyncio.get_running_loop()
@@ -317,6 +321,23 @@ class Entry:
     async def _let_in(self, link: socket.socket) -> None:
         with contextlib.suppress(OSError):
             await self._loop.connect_accepted_socket(self._make, link)
+
+
+class Piecewise(asyncio.BufferedProtocol):
+    """Hears a piece in each turn: however much has come, the loop is not held for it."""
+
+    piece = PIECE  # How many bytes it has
+
+    def get_buffer(self, sizehint: int) -> memoryview:
+        self._heard = memoryview(bytearray(self.piece))
+        return self._heard
+
+    def buffer_updated(self, nbytes: int) -> None:
+        self.data_received(bytes(self._heard[:nbytes]))
+
+    def data_received(self, data: bytes) -> None:
+        """Hear a piece."""
+        raise NotImplementedError
 
 
 class Budget:
