@@ -411,6 +411,34 @@ async def test_forged_host_and_origin_are_refused(served):
         assert robot.journal.counts()["page"]["turned_away"] == 14
 
 
+@pytest.mark.promise("OPS-5")
+@pytest.mark.parametrize(
+    ("port", "host", "status"),
+    [
+        (80, "127.0.0.1", 200),
+        (80, "localhost", 200),
+        (80, "[::1]", 200),
+        (80, "evil.example", 403),
+        (443, "127.0.0.1", 403),
+    ],
+)
+async def test_the_usual_port_is_in_no_address(served, port, host, status):
+    """A browser leaves it out, of the address and of what it asks for."""
+    async with served(Wander()) as robot:
+        before, robot._seat.seat._page.port = port_of(robot), port
+        with contextlib.closing(
+            http.client.HTTPConnection("127.0.0.1", before)
+        ) as link:
+
+            def ask():
+                link.request(
+                    "GET", "/", headers={"Host": host, "Origin": f"http://{host}"}
+                )
+                return link.getresponse().status
+
+            assert await asyncio.to_thread(ask) == status
+
+
 @pytest.mark.promise("OPS-5", "OPS-3")
 async def test_a_stop_from_the_page_stops_the_wheels(served):
     """The wheels are told safe, and nothing follows until resume."""

@@ -379,6 +379,8 @@ class PageServer(Way["_Viewer"]):
     def _is_our_name(self, host: str) -> bool:
         """Tell whether a Host is one that no stranger's name server can lead here."""
         name, _, port = host.rpartition(":")
+        if not port.isdecimal():  # a browser leaves the usual one out
+            name, port = host, "80" if self.page.certificate is None else "443"
         if port != str(self.port):
             return False
         name = name.removeprefix("[").removesuffix("]").lower()
