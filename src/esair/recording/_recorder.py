@@ -84,7 +84,6 @@ class Segment:
         from msgspec.json import Encoder
 
         self.path = path
-        self.messages = 0  # How many messages were handed to the file
         try:
             self._out = _Out(path)
         except OSError as error:
@@ -129,7 +128,6 @@ class Segment:
                 topic, schema=shape, message_encoding="json", context=self._context
             )
         self._guarded(channel.log, data, log_time=int(when * 1e9))
-        self.messages += 1
 
     def write_bytes(self, topic: str, encoding: str, data: bytes, when: float) -> None:
         """Write bytes as a message of an encoding that is esair's own."""

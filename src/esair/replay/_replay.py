@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import json
 import math
 import time
@@ -14,7 +15,7 @@ from typing import Any
 import attrs
 
 from esair.codec import Kinds, kinds_of
-from esair.exceptions import RecordingBrokenError, describe
+from esair.exceptions import BehaviorUnavailableError, RecordingBrokenError, describe
 from esair.journal import Event, Kind
 from esair.loop import Player, TurnLoop, run_and_end
 from esair.messages import is_placed
@@ -39,7 +40,11 @@ from esair.standard import (
 
 NOT_COMPARED = {Kind.LOG}  # What a robot says is no decision
 
-_OF_ACTUATORS = {Kind.COMMAND, Kind.REFUSED, Kind.SENT, Kind.APPLIED, Kind.OPERATED}
+_OF_PEERS = {
+    *(Kind.COMMAND, Kind.REFUSED, Kind.SENT, Kind.APPLIED, Kind.OPERATED),
+    *(Kind.CONFIGURED, Kind.ASKED, Kind.PUT, Kind.OPERATOR),
+}
+"""What the peer has decided, not the component that it happened to."""
 
 
 @attrs.frozen
@@ -104,7 +109,7 @@ class Comparison:
         self._kept = kept
         self._diverged = diverged
         self._newest: dict[str, Seen] = {}
-        self._reads: dict[str, dict[str, None]] = {}
+        self._rights: dict[str, dict[str, Any]] = {}  # By component and resource
         self.equal: int = 0
         """How many events were equal."""
         self.divergence: Divergence | None = None
@@ -122,15 +127,7 @@ class Comparison:
             return
         value = event.value.value if event.kind is Kind.READING else event.value
         value = None if size_of(value) > VALUE_LIMIT else plain(value)  # as recorded
-        actual = Recorded(
-            0,
-            event.time,
-            str(event.kind),
-            event.component,
-            event.peer,
-            value,
-            event.text,
-        )
+        actual = Recorded(*event._replace(value=value))
         expected = self._next()
         if self.is_over:
             return
@@ -183,20 +180,44 @@ class Comparison:
                 event.component, event.value, event.time
             )
         elif event.kind == Kind.REGISTERED:
-            self._reads.setdefault(event.component, {})[event.peer] = None
+            self._rights.setdefault(event.component, {})[event.peer] = event.value
 
     def _tell(self, expected: Recorded | None, actual: Recorded | None) -> None:
         self.is_over = True
-        first = min(filter(None, (expected, actual)), key=lambda each: each.time)
-        who = first.component
-        if first.kind in _OF_ACTUATORS and first.peer:
-            who = first.peer
-        wanted = [name for name in self._reads.get(who, ()) if name in self._newest]
+        first = self._first(expected, actual)
+        who = self._who(first, actual if first is expected else expected)
+        wanted = [name for name in self._rights.get(who, ()) if name in self._newest]
         readings = tuple(self._newest[name] for name in wanted or sorted(self._newest))
         turn = self._turn_of(first.time)
         seconds = first.time - self.span.began
         self.divergence = Divergence(turn, seconds, who, expected, actual, readings)
         self._diverged()
+
+    def _first(self, expected: Recorded | None, actual: Recorded | None) -> Recorded:
+        """Return what was first; of one moment, what the other run does not have."""
+        if expected is None or actual is None or expected.time != actual.time:
+            return min(filter(None, (expected, actual)), key=lambda each: each.time)
+        rest = itertools.takewhile(lambda each: each.time == actual.time, self._events)
+        return expected if any(_same(each, actual) for each in rest) else actual
+
+    def _who(self, first: Recorded, other: Recorded | None) -> str:
+        """Return who decided otherwise: where a command met somebody, that one."""
+        for each in (first, other):
+            if each and each.kind == Kind.REFUSED and isinstance(each.value, dict):
+                holder = str(each.value.get("holder"))
+                if holder in self._rights:
+                    return holder
+        is_other_value = other is not None and other[2:5] == first[2:5]
+        if first.kind == Kind.SENT and (is_other_value or not first.peer):
+            rights = self._rights.items()
+            guards = [name for name, of in rights if of.get(first.component) == "GUARD"]
+            return " or ".join(guards) or first.component
+        is_of_peer = first.kind in _OF_PEERS
+        if first.kind == Kind.GOT:
+            is_of_peer = is_other_value  # else it was not asked for
+        if first.kind == Kind.ANSWERED:  # to an asker who waited no longer
+            is_of_peer = str(first.value).startswith(BehaviorUnavailableError.__name__)
+        return (is_of_peer and first.peer) or first.component
 
     def _turn_of(self, moment: float) -> int:
         """Return the number of the turn at a moment; the recording is read again."""
@@ -244,8 +265,7 @@ def _moments_of_events(path: Path) -> Generator[float, None, None]:
 
 def _same(one: Recorded, other: Recorded) -> bool:
     """Tell whether two events are, but for their numbers and their words."""
-    rest: dict[str, Any] = {"number": 0, "text": "", "measured": None}
-    return one._replace(**rest) == other._replace(**rest)
+    return one[1:6] == other[1:6]  # from the time to the value
 
 
 AGES = 1e9
