@@ -297,6 +297,32 @@ async def test_a_second_recording_keeps_the_first(
     assert names == {"run.mcap", "run-2.mcap"}
 
 
+@pytest.mark.parametrize("names", [("run.1", "run.2"), ("run", "run.2")])
+async def test_runs_that_their_user_numbers_are_told_apart(
+    fake_sensor, fake_actuator, tmp_path: Path, names: tuple[str, str]
+):
+    """Neither is a segment of the other, whatever they are called."""
+    first, second = (tmp_path / f"{name}.mcap" for name in names)
+    counts = []
+    for path in (first, second):
+        made, _ = robot(fake_sensor, fake_actuator, record=esair.Recording(path))
+        async with made:
+            await asyncio.sleep(0.1)
+        counts.append(len([*events_of(path)]))
+    assert len([*events_of(first)]) == counts[0] > 0
+    assert len([*events_of(second)]) == counts[1]
+
+
+@pytest.mark.real_clock
+@pytest.mark.promise("REC-4")
+def test_what_is_left_of_an_earlier_run_ends_no_recording(tmp_path: Path) -> None:
+    """Its first file was moved away; there the next run would have its second."""
+    path = tmp_path / "run.mcap"
+    (tmp_path / "run.2.mcap").write_bytes(b"of an earlier run")
+    esair.run(esair.Robot(record=esair.Recording(path, min_free=0)), duration=0.1)
+    assert {each.name for each in tmp_path.iterdir()} == {"run.2.mcap", "run-2.mcap"}
+
+
 @pytest.mark.parametrize(
     "value",
     [

@@ -469,23 +469,32 @@ def segments_of(path: Path) -> Iterator[Path]:
     """Yield the files of one recording: ``run.mcap``, ``run.2.mcap``, ...
 
     It begins with the one that is named. Where the first was deleted to make room, its
-    name means the oldest that is left.
+    name means the oldest that is left. What another run has made ends it: people number
+    their runs, too.
     """
     stem, number = path.stem, 1
     if not path.exists():
-        number = min(_numbers_of(path), default=1)
-    elif (found := _NUMBERED.fullmatch(stem)) and not any(_numbers_of(path)):
+        number = min(numbers_of(path), default=1)
+    elif (found := _NUMBERED.fullmatch(stem)) and not any(numbers_of(path)):
         stem, number = found[1], int(found[2])
     first = path if number == 1 else path.with_stem(f"{stem}.{number}")
     yield first
     for later in itertools.count(number + 1):
         segment = path.with_stem(f"{stem}.{later}")
-        if not segment.exists():
+        if not segment.exists() or _run_of(segment) not in ({}, _run_of(first)):
             return
         yield segment
 
 
-def _numbers_of(path: Path) -> Iterator[int]:
+def _run_of(path: Path) -> dict[str, str]:
+    """Return what no two runs have alike; empty of a file that was cut before it."""
+    for part in parts_of(path, skip_messages=True):
+        if isinstance(part, Fact) and part.name == "clock":
+            return part.told
+    return {}
+
+
+def numbers_of(path: Path) -> Iterator[int]:
     """Yield the numbers of the later segments of a recording, in any order."""
     for other in path.parent.glob(f"*{path.suffix}"):
         found = _NUMBERED.fullmatch(other.stem)

@@ -27,7 +27,7 @@ from esair.journal import Event, Journal
 from esair.loop import TapeWriter
 from esair.messages import Recording
 from esair.recording._messages import plain, schema_of, seen_as, size_of
-from esair.recording._reading import TURNS
+from esair.recording._reading import TURNS, numbers_of
 from esair.recording._recover import left_cut
 from esair.recording._turns import GIVEN, HELD, TOPIC, Turns, bulk_of
 
@@ -270,7 +270,7 @@ class Recorder:
         """
         self._offset = time.time() - now
         facts = {"offset": repr(self._offset), "python": sys.version.split()[0]}
-        self._facts.append(("clock", facts))
+        self._facts.append(("clock", {**facts, "run": os.urandom(8).hex()}))
         _log.info("recording: %s", self.path)
         self._thread.start()
 
@@ -495,7 +495,7 @@ def _place(path: Path, name: str) -> Path:
     if is_folder:
         path /= time.strftime(f"{name}-%Y%m%d-%H%M%S.mcap")
     place, number = path, 1
-    while os.path.lexists(place):
+    while os.path.lexists(place) or any(numbers_of(place)):
         number += 1
         place = path.with_stem(f"{path.stem}-{number}")
     return place
