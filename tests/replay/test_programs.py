@@ -8,7 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 from tests.replay.test_replay import verbs
+
+from esair.cli._replay import show
+from esair.replay import Outcome
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.promise("REP-2")]
 
@@ -175,3 +179,17 @@ def test_a_run_of_a_test_says_what_repeats_it(tmp_path: Path) -> None:
 
     assert code == 2
     assert "its time was virtual: its own test or program repeats it" in said
+
+
+@pytest.mark.parametrize(("equal", "code"), [(0, 2), (1, 0)])
+def test_a_replay_that_has_compared_nothing_is_not_equal(
+    capsys: pytest.CaptureFixture[str], equal: int, code: int
+) -> None:
+    """It says that nothing was compared, and why."""
+    cut = "it has no end"
+    outcome = Outcome(equal, None, turns=1, seconds=0.1, took=0.1, short=cut)
+
+    assert show(outcome, Console()) == code
+    out, err = capsys.readouterr()
+    assert out.startswith("equal") is bool(equal)
+    assert err == ("" if equal else f"esair: nothing was compared: {cut}\n")

@@ -40,7 +40,7 @@ def replay(
 
     No driver is called: what the devices have given comes from the recording. It ends
     at the first difference, which is shown with what was decided on. The exit code
-    is 0 if all is equal, 3 if something differs.
+    is 0 if all is equal, 3 if something differs, 2 if nothing could be compared.
 
     Args:
         file: The recording of 'esair run' or 'esair sim'.
@@ -146,6 +146,9 @@ def show(outcome: Outcome, console: Console) -> int:
         with heeded(console):
             _show_divergence(outcome.divergence, outcome, console)
         return DIVERGED
+    if not outcome.equal:
+        tell(printable(f"nothing was compared: {outcome.short or 'nothing happened'}"))
+        return CANNOT_USE
     speed = outcome.seconds / outcome.took if outcome.took > 0 else 0.0
     console.print(
         f"equal: {outcome.equal} events in {outcome.turns} turns; "
@@ -159,13 +162,10 @@ def show(outcome: Outcome, console: Console) -> int:
 
 
 def _show_divergence(found: Divergence, outcome: Outcome, console: Console) -> None:
-    text = Text()
-    text.append(printable(f"{found.component} does otherwise"), "bold red")
-    text.append(
-        f" at {found.seconds:.3f} s (turn {found.turn}), after {outcome.equal} events "
-        "that were equal"
-    )
-    console.print(text)
+    who = printable(f"{found.component} does otherwise"), "bold red"
+    where = f" at {found.seconds:.3f} s (turn {found.turn})"
+    equal = f", after {outcome.equal} events that were equal"
+    console.print(Text.assemble(who, where, equal))
     lines = [
         f"  recorded  {_words(found.expected, found)}",
         f"  now       {_words(found.actual, found)}",
@@ -178,8 +178,8 @@ def _show_divergence(found: Divergence, outcome: Outcome, console: Console) -> N
             f"    {seen.sensor}, {1000 * age:.0f} ms old: {shown(seen.value, WIDTH)}"
         )
     if outcome.late:
-        told = f"  {outcome.late} was waited for in vain: its code, or this computer, is slow"
-        lines.append(told)
+        told = "was waited for in vain: its code, or this computer, is slow"
+        lines.append(f"  {outcome.late} {told}")
     for line in lines:
         console.print(Text(printable(line)))  # it may be a stranger's recording
 
