@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import itertools
 import struct
 from collections.abc import Callable
 from typing import Any
@@ -21,11 +22,12 @@ pytestmark = pytest.mark.promise("MIN-4")
 
 
 def beating(line: FakeSerial, *now_ms: int) -> FakeSerial:
-    """Let a board beat on a line; its own time is this, and then stays the last."""
+    """Let a board beat on a line; its own time is this, and then goes on."""
     times = list(now_ms)
 
     def beat() -> bytes:
-        now = times.pop(0) if len(times) > 1 else times[0]
+        now = times.pop(0)
+        times[:] = times or [now + 100]
         whole = struct.pack("<BBBBHIIIIHH", ord("b"), VERSION, *[0] * 3, now, *[0] * 5)
         names = signed(b"n" + struct.pack("<II", 50_000, 0) + b"light;wheels")
         return line.framing.encode(signed(whole)) + line.framing.encode(names)
@@ -170,3 +172,34 @@ async def test_what_the_line_has_kept_meanwhile_is_no_news(
         struct.unpack("<H", each[3:5])[0] * 16 for each in line.sent if each[:1] == b"h"
     ]
     assert 900 - 16 < max(each for each in beats if each < 1500) <= 900
+
+
+async def test_a_board_that_says_only_what_is_old_is_lost_and_comes_back(
+    fake_serial: Callable[..., FakeSerial],
+) -> None:
+    """Its clock runs at a third: what it says gets older without an end."""
+    line = fake_serial("base", framing="cobs")
+    light = BoardSensor(name="light", bus=line)
+    times = itertools.count(0, 100)
+    seen: list[float] = []
+
+    def say() -> bytes:
+        now = next(times)
+        said = (
+            b"n" + struct.pack("<II", 50_000, 0) + b"light;",
+            struct.pack("<BBBBHIIIIHH", ord("b"), VERSION, *[0] * 3, now, *[0] * 5),
+            struct.pack("<BBBf", ord("s"), 0, ord("f"), now / 1000),
+        )
+        return b"".join(line.framing.encode(signed(each)) for each in said)
+
+    class Look(esair.Reaction):
+        light = esair.reads(float)
+
+        def react(self, light: float) -> None:
+            seen.append(light)
+
+    line.repeat(say, 0.3)
+    async with esair.Robot(resources=[light], behaviors=[Look()]) as robot:
+        await asyncio.sleep(20.0)
+        assert robot.resources.query("light").losses > 1
+    assert seen[-1] > 5.0

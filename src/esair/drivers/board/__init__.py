@@ -29,8 +29,8 @@ That stands for these tables::
 
 The board beats, and this computer answers each beat. When the answers stay away, whatever
 it moved is safe on the board at once, and what comes late moves nothing; when the beats
-do, its sensors and actuators are lost here. Readings that the line has kept while this
-computer stood still are none. The board tells what it did with a command.
+do, or get too old, its sensors and actuators are lost here. Readings that the line has kept
+while this computer stood still are none. The board tells what it did with a command.
 
 Source: `esair.boards.link`, which the board runs.
 """
@@ -129,30 +129,30 @@ class _Beats(SharedTask):
             self._way = math.inf
             self._first, self._sending = asyncio.Event(), asyncio.Lock()
             self._waiting = {}
-        elif self._silent > SILENCE:
+        elif self._silent:
             self._first.clear()  # another device of it has not noticed yet
         try:
             async with asyncio.timeout(1.6 * SILENCE):
                 await self._first.wait()
+            if self.wire.version != VERSION:
+                raise DeviceFaultError(name, refusal(self.wire.version))
         except TimeoutError:
             await self.leave(user)
             raise DeviceLostError(name, "the board is silent") from None
         except BaseException:
             await self.leave(user)
             raise
-        if self.wire.version != VERSION:
-            await self.leave(user)
-            raise DeviceFaultError(name, refusal(self.wire.version))
 
     @property
-    def _silent(self) -> float:
-        return asyncio.get_running_loop().time() - self._heard
+    def _silent(self) -> bool:
+        heard = min(self._heard, self._good_until)  # what is old is no sign of life
+        return asyncio.get_running_loop().time() - heard > SILENCE
 
     def check(self, name: str) -> None:
-        """Raise if the board has been silent for too long, or has started anew."""
+        """Raise if nothing new has come for too long, or the board has started anew."""
         if self._now_ms == _RESTARTED:
             raise DeviceLostError(name, "the board has restarted")
-        if self._task is None or self._task.done() or self._silent > SILENCE:
+        if self._task is None or self._task.done() or self._silent:
             raise DeviceLostError(name, "the board is silent")
 
     async def _run(self, bus: SerialBus) -> None:
