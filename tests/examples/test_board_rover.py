@@ -26,10 +26,27 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "board_rover"
 
 WORLD = """
 import sys
+from machine import mem32
+from time import sleep_ms
+from esair import minimal
 from esair.boards import stand_in
 sys.modules["machine"] = stand_in
 from esair.boards import line
 from esair.minimal import Loop
+
+mem32[0x4002801c] = 24999
+
+def ticks():
+    "A counter of the board: the emulator leaves out ticks when its computer is busy."
+    return mem32[0x40028018]
+
+def sleep(ms):
+    end = ticks() + ms
+    while ticks() < end:
+        sleep_ms(1)
+
+minimal._ticks = ticks
+minimal._sleep = sleep
 
 came, read, takes, write = line._streams()
 ring = bytearray()
