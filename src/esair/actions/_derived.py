@@ -150,8 +150,8 @@ class Derivation(ReactionRunner):
         channel: DerivedChannel,
         on_change: Callable[[DeviceLostError | None], None],
         *,
-        began: float = 0.0,
-        owner: Owner | None = None,
+        began: float,
+        owner: Owner | None,
     ) -> None:
         computing = Reaction(name=derived.name, reads=derived.inputs)
         computing.budget = derived.budget

@@ -107,8 +107,8 @@ class ReactionRunner:
         reaction: Reaction,
         hooks: Hooks,
         *,
-        began: float = 0.0,
-        owner: Owner | None = None,
+        began: float,
+        owner: Owner | None,
     ) -> None:
         self.reaction: Reaction = reaction
         self.owner: Owner | None = owner
