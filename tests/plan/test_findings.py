@@ -17,7 +17,7 @@ from esair import minimal
 from esair.actions import MinimalReaction
 from esair.messages import Placement
 from esair.plan import Plan, examine
-from esair.testing import FakeCan
+from esair.testing import FakeCan, FakeI2c
 
 pytestmark = pytest.mark.promise("RS-8")
 
@@ -578,6 +578,27 @@ def test_who_has_an_identify_may_have_an_identity() -> None:
             return "serial 7"
 
     assert told(Known(name="known")) == []
+
+
+@pytest.mark.parametrize(
+    ("bus", "words"),
+    [
+        (None, "expected an I2CBus, not None"),
+        ("front", "expected an I2CBus, not 'front'"),
+        (FakeCan("drive"), "expected an I2CBus, but 'drive' is a FakeCan"),
+    ],
+)
+def test_a_bus_of_another_kind_is_told(bus: Any, words: str) -> None:
+    """A class that declares its bus says of which kind it is."""
+    assert told(parts.Chip(name="chip", bus=bus)) == [("bus", words)]
+
+
+@pytest.mark.parametrize("bus", [FakeI2c("front"), FakeCan("drive")])
+def test_what_says_nothing_of_its_bus_may_be_on_any(bus: Any) -> None:
+    """And one that says so is on a bus of that kind."""
+    assert told(parts.Slow(name="slow", bus=bus)) == []
+    if isinstance(bus, FakeI2c):
+        assert told(parts.Chip(name="chip", bus=bus)) == []
 
 
 # What can live in a process of its own.

@@ -50,6 +50,15 @@ class Mutable(parts.Brake):
     mute_limit = 60.0
 
 
+class MutableGuard(Watch):
+    mute_limit = 60.0
+
+
+class MutableOpinion(parts.Brake):
+    wheels = esair.writes(float, blind="release")
+    mute_limit = 60.0
+
+
 class Pair(esair.Reaction):
     """It commands two motors together."""
 
@@ -173,3 +182,144 @@ def test_a_command_of_which_a_part_is_guarded_is_found() -> None:
         "it commands 'wheels' and 'other' together, but only 'wheels' is guarded: "
         "guard 'other' too"
     ]
+
+
+def test_a_mute_limit_of_what_protects_nothing_is_nobodys_business() -> None:
+    """A guard protects, and what has no say while it is blind does not."""
+    assert told(parts.Drive(), MutableGuard()) == [
+        "the user may mute what it protects for 60 s: 0 if never"
+    ]
+    assert told(parts.Drive(), MutableOpinion(), motor=parts.Wheels) == []
+
+
+class Told(Motor):
+    """Its device stops by itself, or a broker has its last will, or it can be watched."""
+
+    own_timeout: float | None = None
+    will: float | None = None
+
+    @property
+    def last_will(self) -> float | None:
+        return self.will
+
+
+class Watched(Told):
+    def safe_frames(self) -> Any:
+        return None
+
+
+@pytest.mark.parametrize(
+    ("motor", "watchdog", "own", "will", "process", "host"),
+    [
+        (Told, False, None, None, "UNWATCHED: the robot has no watchdog",
+         "it keeps its last command"),
+        (Told, True, 0.5, None,
+         "UNWATCHED: its driver cannot say its safe command as bytes",
+         "it stops itself after 0.5 s"),
+        (Told, False, None, 2.0, "its last will is published at once",
+         "its last will is published after 2 s"),
+        (Watched, True, None, None, "the watchdog sends its safe command",
+         "it keeps its last command"),
+        (Watched, True, 0.5, 2.0, "the watchdog sends its safe command",
+         "it stops itself after 0.5 s"),
+    ],
+)  # fmt: skip
+def test_the_table_says_who_stops_it_when_nobody_can(
+    motor: Any, watchdog: bool, own: Any, will: Any, process: str, host: str
+) -> None:
+    """When this process dies, and when this computer does."""
+    wheels = motor(name="wheels")
+    wheels.own_timeout, wheels.will = own, will
+    (row,) = protection(Plan(resources=[wheels], watchdog=watchdog))
+    assert (row.when_the_process_dies, row.when_the_host_dies) == (process, host)
+    assert row.own_timeout == own
+
+
+def test_the_table_says_who_sends_what_is_safe() -> None:
+    """And when; one that says it wrongly has no time-out, and no safe command."""
+    unsafe: Any = parts.Unsafe(name="bare")
+    unsafe.command_timeout = None
+    rows = protection(
+        Plan(resources=[parts.Sonar(), Motor(name="wheels"), unsafe], behaviors=[])
+    )
+    assert [(each.name, each.safe, each.command_timeout) for each in rows] == [
+        ("wheels", "0.0", 0.2),
+        ("bare", None, None),
+    ]
+    assert [each.sent_by for each in rows] == [
+        "esair: 0.2 s after the last command, and at every exit",
+        "esair: at every exit",
+    ]
+    assert [each.driver for each in rows] == [
+        f"{__name__}:Motor",
+        "tests.plan.rulebook_parts:Unsafe",
+    ]
+
+
+def test_the_table_is_in_the_order_in_which_they_count() -> None:
+    """The highest priority first, and equals by their names."""
+    ports = {"b": 0, "c": 5, "a": 0}
+    writers = [
+        esair.Behavior(name=n, writes={"wheels": esair.writes(float, priority=p)})
+        for n, p in ports.items()
+    ]
+    guards = [
+        Watch(name=f"g_{n}", guards={"wheels": esair.guards(float, priority=p)})
+        for n, p in ports.items()
+    ]
+    plan = Plan(
+        resources=[parts.Sonar(), Motor(name="wheels")], behaviors=[*writers, *guards]
+    )
+    (row,) = protection(plan)
+    assert [(w.behavior, w.priority, w.kind) for w in row.writers] == [
+        ("c", 5, "behavior"),
+        ("a", 0, "behavior"),
+        ("b", 0, "behavior"),
+    ]
+    assert [(g.reaction, g.priority) for g in row.guards] == [
+        ("g_c", 5),
+        ("g_a", 0),
+        ("g_b", 0),
+    ]
+
+
+def test_where_something_is_missing_nothing_is_said_of_protection() -> None:
+    """What could not be made may be what protects it."""
+    resources = [parts.Sonar(), Motor(name="wheels")]
+    for missing, count in (({"brake": "behavior"}, 0), ({"eye": "sensor"}, 1)):
+        plan = Plan(resources=resources, behaviors=[parts.Drive()], missing=missing)
+        assert len([f for f in examine(plan) if f.rule == "protect"]) == count
+
+
+def test_a_reaction_protects_from_above_alone() -> None:
+    """Not at the same priority; one that nobody but reactions write needs none."""
+    level = parts.Brake(
+        name="level", writes={"wheels": esair.writes(float, blind="release")}
+    )
+    (finding,) = told(parts.Drive(), level)
+    assert finding.startswith("it moves, and nothing protects it")
+    assert told(level) == []
+
+
+def test_a_motor_may_say_its_time_out_in_itself() -> None:
+    """It moves as one whose class says so."""
+    for timeout in (0.2, None):
+        wheels = parts.Wheels(name="wheels")
+        if timeout is not None:
+            wheels.command_timeout = timeout
+        plan = Plan(resources=[wheels], behaviors=[parts.Drive()])
+        found = [each for each in examine(plan) if each.rule == "protect"]
+        assert len(found) == (timeout is not None)
+
+
+def test_both_parts_guarded_or_none_is_no_half() -> None:
+    """And a behavior commands one after the other."""
+
+    class Both(esair.Behavior):
+        wheels = esair.writes(float)
+        other = esair.writes(float)
+
+    other = Watch(name="too", guards={"wheels": esair.guards(float, name="other")})
+    assert not [each for each in told(Pair(), Watch(), other) if "together" in each]
+    assert not [each for each in told(Pair()) if "together" in each]
+    assert not [each for each in told(Both(), Watch()) if "together" in each]

@@ -289,6 +289,16 @@ def test_what_writes_nobody_is_told_beside_all_else() -> None:
     ]
 
 
+@pytest.mark.parametrize(("rate", "count"), [(800.0, 0), (820.0, 1)])
+def test_eight_bytes_are_asked_for_unless_it_says_otherwise(
+    rate: float, count: int
+) -> None:
+    """With two addresses and a register, at 100,000 bits in a second."""
+    asked = Register(name="asked", bus=FakeI2c("front"))
+    asked.rate = rate
+    assert len(told("load", resources=[asked])) == count
+
+
 # Times.
 
 

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 import fractions
+import functools
 import math
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import esair
+from esair.buses import I2CBus
+from esair.plan import Plan, examine
+from esair.testing import FakeI2c
 from esair.values import same_type
 
 
@@ -233,3 +238,271 @@ async def test_what_every_device_has_stays_what_its_class_may_say(
         assert (wheels.command_timeout, wheels.fault_limit) == (0.2, 3)
         await robot.resources.configure(mine, command_timeout=0.3, fault_limit=2)
         assert (wheels.command_timeout, wheels.fault_limit) == (0.3, 2)
+
+
+# What holds unless a class says otherwise.
+
+
+@pytest.mark.promise("RES-1")
+@pytest.mark.parametrize(
+    ("right", "wrong"), [(0.001, 0.0009), (100_000.0, 100_001.0), (1.0, 0.0)]
+)
+def test_a_rate_is_from_a_thousandth_to_a_hundred_thousand(
+    right: float, wrong: float
+) -> None:
+    """Once in a quarter of an hour, and as often as a computer can."""
+
+    class Bare(esair.Sensor[float]):
+        """Says nothing of its rate."""
+
+    assert Bare(rate=right).rate == right
+    with pytest.raises(esair.BadValueError, match="rate: expected at"):
+        Bare(rate=wrong)
+
+
+class Part(esair.Sensor[float]):
+    """Notes what it is asked."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.asked: list[str] = []
+
+    async def open(self) -> None:
+        self.asked.append("open")
+
+    async def close(self) -> None:
+        self.asked.append("close")
+
+    async def is_set_up(self) -> bool:
+        self.asked.append("is_set_up")
+        return True
+
+    async def read(self) -> float:
+        self.asked.append("read")
+        raise ValueError("a checksum that is wrong")
+
+    @esair.operation
+    async def hang(self) -> None:
+        await asyncio.Event().wait()
+
+
+@pytest.mark.virtual_clock
+async def test_a_driver_has_a_second_three_faults_and_is_looked_after() -> None:
+    """Its call is given up after 1 s, it is reopened after the third fault in a row, and
+    asked each second whether it is still set up."""
+    part = Part(name="part")
+    user: Any = esair.Behavior(
+        name="user", reads={"part": esair.reads(float, configure=True)}
+    )
+    async with esair.Robot(resources=[part], behaviors=[user]):
+        began = esair.now()
+        with pytest.raises(esair.DriverStuckError):
+            await user.part.operate("hang")
+        assert esair.now() - began == pytest.approx(1.0, abs=0.01)
+        part.asked.clear()
+        await asyncio.sleep(10.5)
+        assert 9 <= part.asked.count("is_set_up") <= 11
+        part.asked.clear()
+        for _ in range(3):
+            with pytest.raises(esair.EsairError):
+                await user.part.read(fresh=True)
+        await asyncio.sleep(0.01)
+        assert [each for each in part.asked if each != "is_set_up"][:4] == [
+            *("read", "read", "read", "close")
+        ]
+
+
+# What operations say of themselves.
+
+
+class Lamp(esair.Actuator[float]):
+    safe = 0.0
+
+    async def write(self, command: float) -> None: ...
+
+    @esair.operation(deadline=5.0)
+    async def blink(self, times: int, pause: float = 0.5) -> None:
+        """Show that it is there.
+
+        And nothing else.
+        """
+
+    @esair.operation
+    def test(self) -> None: ...
+
+
+@pytest.mark.promise("RS-7")
+def test_operations_are_discoverable() -> None:
+    """With their parameters, what each is unless given, and the first line of their
+    text."""
+    blink, test = Lamp().operations["blink"], Lamp().operations["test"]
+    assert str(blink) == "blink(times: int, pause: float = 0.5)"
+    assert [(each.required, each.default) for each in blink.parameters] == [
+        (True, None),
+        (False, 0.5),
+    ]
+    assert (blink.deadline, blink.doc) == (5.0, "Show that it is there.")
+    assert (str(test), test.deadline, test.doc) == ("test()", None, "")
+
+
+@pytest.mark.promise("RS-7")
+@pytest.mark.parametrize(
+    ("given_", "told"),
+    [
+        ({"tmies": 1}, "times: it is missing; it is blink(times: int, pause: float = 0.5)"),
+        ({"tmies": 1}, "tmies: there is no such parameter; did you mean 'times'?"),
+        ({"times": 1, "loudly": True}, "loudly: there is no such parameter; it is blink("),
+        ({"times": 1.5, "pause": math.nan}, "times: expected int, not 1.5; pause: expected "
+         "a finite number"),
+        ({"times": 1, "pause": 10**400}, "pause: "),
+    ],
+)  # fmt: skip
+def test_every_mistake_of_a_call_is_told_at_once(
+    given_: dict[str, Any], told: str
+) -> None:
+    """By the names of the parameters, and what there is."""
+    with pytest.raises(esair.BadValueError) as caught:
+        Lamp().operations["blink"].check("lamp", given_)
+    assert told in str(caught.value)
+
+
+@pytest.mark.promise("RS-7")
+def test_a_number_is_turned_into_the_class_of_the_parameter() -> None:
+    """As of a setting."""
+    blink = Lamp().operations["blink"]
+    checked = blink.check("lamp", {"times": 3, "pause": 1})
+    assert checked == {"times": 3, "pause": 1.0}
+    assert type(checked["pause"]) is float
+
+
+@pytest.mark.promise("RS-4")
+def test_every_mistake_in_settings_is_told_at_once() -> None:
+    """The field of the error names all of them."""
+    with pytest.raises(esair.BadValueError) as caught:
+        Sonar(rate=0.0, gain=9)
+    assert caught.value.field == "rate, gain"
+    assert "rate: expected at least 1.0 Hz" in str(caught.value)
+    assert "gain: expected at most 7, not 9" in str(caught.value)
+
+
+class Odd(Lamp):
+    """None of these can be called by its name."""
+
+    @esair.operation
+    async def stream(self) -> None: ...
+
+    @esair.operation
+    async def _hidden(self) -> None: ...
+
+    @esair.operation
+    async def some(self) -> Any:
+        yield 1
+
+    @esair.operation
+    def more(self) -> Any:
+        yield 1
+
+    @esair.operation
+    async def large(self, size: float = 10**400) -> None: ...
+
+    @esair.operation(deadline=2.0)
+    async def fine(self, size: float = 1, name: str = "") -> None: ...
+
+
+@pytest.mark.promise("RS-7", "RS-8")
+def test_what_is_no_operation_is_told() -> None:
+    """With the method, and what was expected."""
+    found = examine(Plan(resources=[Odd()]))
+    told = [(each.field, each.text) for each in found if each.rule == "declaration"]
+    assert told[:4] == [
+        ("stream", "a method that esair calls by itself is no operation"),
+        ("_hidden", "an operation has a name without an underscore before it"),
+        ("some", "expected a method that does not yield"),
+        ("more", "expected a method that does not yield"),
+    ]
+    assert [field for field, _ in told[4:]] == ["large"]
+    assert told[4][1].startswith("the default of 'size': ")
+
+
+# What the errors of a package mean.
+
+
+class GoneError(Exception):
+    """A package's."""
+
+
+class Package(esair.Sensor[float]):
+    errors = {GoneError: esair.DeviceLostError}  # noqa: RUF012 - as users write it
+
+    async def read(self) -> float:
+        raise GoneError("cable")
+
+    async def stream(self) -> Any:
+        yield 1.0
+        raise GoneError("cable")
+
+    def close(self) -> None:  # type: ignore[override]
+        raise GoneError("cable")
+
+    def identify(self) -> Any:
+        raise KeyError("serial")
+
+    async def is_set_up(self) -> bool:
+        raise esair.DeviceFaultError("package", "its own word")
+
+
+class Deeper(Package):
+    def stream(self) -> Any:  # type: ignore[override]
+        yield 2.0
+        raise GoneError("cable")
+
+    async def read(self) -> float:
+        return await super().read()
+
+
+@pytest.mark.virtual_clock
+@pytest.mark.parametrize("kind", [Package, Deeper])
+async def test_an_error_of_a_package_is_what_the_class_says(
+    kind: type[Package],
+) -> None:
+    """From each kind of method, once; all else, and what is of esair, as it is."""
+    part = kind(name="part")
+    stream = part.stream()
+    ends = stream.__anext__ if kind is Package else functools.partial(_next, stream)
+    assert await ends() == (1.0 if kind is Package else 2.0)
+    calls: list[Any] = [
+        part.read,
+        ends,
+        functools.partial(asyncio.to_thread, part.close),
+    ]
+    for call in calls:
+        with pytest.raises(esair.DeviceLostError) as lost:
+            await call()
+        assert str(lost.value).endswith("GoneError: cable")
+        assert isinstance(lost.value.__cause__, GoneError)
+    with pytest.raises(KeyError):
+        part.identify()
+    with pytest.raises(esair.DeviceFaultError, match="its own word"):
+        await part.is_set_up()
+
+
+async def _next(values: Any) -> Any:
+    return next(values)
+
+
+class Chip(esair.Sensor[float]):
+    bus: I2CBus
+
+    async def open(self) -> None: ...
+
+
+@pytest.mark.virtual_clock
+async def test_a_driver_that_is_opened_by_hand_says_that_its_bus_is_missing() -> None:
+    """With one it opens, and one that declares none needs none."""
+    with pytest.raises(
+        esair.ConfigError, match="expected an I2CBus, not None: give it"
+    ):
+        await Chip().open()
+    await Chip(bus=FakeI2c("front")).open()
+    await cast("Any", Sonar()).open()
+    assert Chip.open.__name__ == "open"
