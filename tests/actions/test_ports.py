@@ -219,8 +219,11 @@ def test_what_takes_requests_says_of_which_type() -> None:
 
 @pytest.mark.parametrize(
     "call",
-    [esair.Reaction().react, esair.Derived().compute],
-    ids=["react", "compute"],
+    [
+        *(esair.Reaction().react, esair.Derived().compute, esair.Sensor().read),
+        *(esair.Sensor().stream, lambda: esair.Actuator[Any]().write(0.0)),
+    ],
+    ids=["react", "compute", "read", "stream", "write"],
 )
 def test_what_nobody_has_written_decides_nothing(call: Any) -> None:
     """It is an error, and no opinion."""

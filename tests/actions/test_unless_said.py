@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import logging
 import math
 from collections.abc import Callable
@@ -335,6 +336,51 @@ async def test_slow_steps_are_told_at_each_thousandth(
 
     lines = [r for r in caplog.records if "overrun" in r.getMessage()]
     assert [r.args[1] for r in lines if r.args] == [1, 1000]  # type: ignore[index]
+
+
+# What is decided in one turn, and what is left of it.
+
+
+class Each(esair.Reaction):
+    sonar = esair.reads(float, every=True)
+    wheels = esair.writes(float)
+
+    def react(self, sonar: float) -> float:
+        return sonar
+
+
+@pytest.mark.promise("REA-3")
+async def test_two_decisions_in_one_turn_are_one_command() -> None:
+    """The newer one is sent, once, and its actuator is held."""
+    sonar, wheels = FakeSensor[float]("sonar"), FakeActuator("wheels", safe=0.0)
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Each()]) as robot:
+        sonar.feed(1.0)
+        sonar.feed(2.0)
+        await asyncio.sleep(0.001)
+        assert wheels.commands == [0.0, 2.0]
+        assert robot.resources.why("wheels").holder == "each"
+
+
+async def test_a_write_that_waited_for_its_driver_leaves_nothing_behind() -> None:
+    """Else a robot would have one task more for each of them."""
+
+    class Slow(FakeActuator[float]):
+        async def write(self, command: float) -> None:
+            await asyncio.sleep(0.002)
+            await super().write(command)
+
+    sonar, wheels = FakeSensor[float]("sonar"), Slow("wheels", safe=0.0)
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Copy()]):
+        for value in range(1, 60):
+            sonar.feed(float(value))
+            await asyncio.sleep(0.005)
+        assert len(wheels.commands) == 60
+        done = [
+            each
+            for each in gc.get_objects()
+            if isinstance(each, asyncio.Task) and each.done()
+        ]
+        assert len(done) < 30
 
 
 # Random numbers.

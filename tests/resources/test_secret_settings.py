@@ -48,6 +48,29 @@ async def test_a_secret_is_applied_and_never_shown() -> None:
     assert SECRET not in repr(events)
 
 
+@pytest.mark.promise("RS-4")
+@pytest.mark.virtual_clock
+async def test_what_is_no_secret_is_shown_beside_one() -> None:
+    """As it was applied, with the word that stands for the secret."""
+
+    class Zooms(Camera):
+        zoom = esair.setting(1.0)
+
+    right = esair.Access.READ | esair.Access.CONFIGURE
+    policy = esair.Policy("camera", allow={"*": right})
+    shown: list[Any] = []
+    async with esair.Robot(
+        resources=[Zooms(name="camera")], policies=[policy]
+    ) as robot:
+        robot.journal.listen(
+            lambda event: shown.append(event.value), kinds=[Kind.CONFIGURED]
+        )
+        mine = await robot.resources.register("me", "camera", right)
+        await robot.resources.configure(mine, zoom=2, password=SECRET)
+        await asyncio.sleep(0.01)
+    assert shown == [{"zoom": 2.0, "password": "(secret)"}]
+
+
 def test_a_subclass_keeps_the_secret() -> None:
     """Another default is as secret as the first."""
 
