@@ -39,8 +39,6 @@ from esair.loop import (
     ignore,
 )
 
-_COLLECTS = inspect.CO_VARARGS | inspect.CO_VARKEYWORDS
-
 _log = logging.getLogger("esair")
 
 
@@ -517,7 +515,7 @@ def ordered(reaction: Reaction) -> tuple[tuple[str, ...], Callable[..., Any]]:
     """
     inputs, react = tuple(reaction.inputs), reaction.react
     code = getattr(getattr(react, "__func__", None), "__code__", None)
-    if not (code is None or code.co_kwonlyargcount or code.co_flags & _COLLECTS):
+    if code is not None:
         parameters = code.co_varnames[1 : code.co_argcount]
         if sorted(parameters) == sorted(inputs):
             return parameters, react
