@@ -14,6 +14,7 @@ import pytest
 
 import esair
 from esair.actions import Guards, Reads, Takes, Writes
+from esair.connections import Sight
 from esair.testing import FakeActuator, FakeSensor, VirtualLoop
 
 pytestmark = pytest.mark.virtual_clock
@@ -359,6 +360,7 @@ async def test_two_decisions_in_one_turn_are_one_command() -> None:
         await asyncio.sleep(0.001)
         assert wheels.commands == [0.0, 2.0]
         assert robot.resources.why("wheels").holder == "each"
+        assert robot.journal.counts()["each"]["refused"] == 0
 
 
 async def test_a_write_that_waited_for_its_driver_leaves_nothing_behind() -> None:
@@ -370,17 +372,41 @@ async def test_a_write_that_waited_for_its_driver_leaves_nothing_behind() -> Non
             await super().write(command)
 
     sonar, wheels = FakeSensor[float]("sonar"), Slow("wheels", safe=0.0)
-    async with esair.Robot(resources=[sonar, wheels], behaviors=[Copy()]):
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[Copy()]) as robot:
         for value in range(1, 60):
             sonar.feed(float(value))
             await asyncio.sleep(0.005)
         assert len(wheels.commands) == 60
+        counts = robot.journal.counts()["copy"]
+        assert (counts["refused"], counts["conflated"]) == (0, 0)
         done = [
             each
             for each in gc.get_objects()
             if isinstance(each, asyncio.Task) and each.done()
         ]
         assert len(done) < 30
+
+
+async def test_a_step_that_has_ended_has_no_say_any_more() -> None:
+    """However often one is performed, nothing of it is looked at later."""
+    sonar, wheels = FakeSensor("sonar", 1.0), FakeActuator("wheels", safe=0.0)
+    user = Idle(
+        name="user",
+        reads={"sonar": esair.reads(float)},
+        writes={"wheels": esair.writes(float)},
+    )
+
+    def sights() -> int:
+        return sum(type(each) is Sight for each in gc.get_objects())
+
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[user]):
+        await user.perform(Copy(), until=lambda: True)
+        gc.collect()
+        before = sights()
+        for _ in range(5):
+            await user.perform(Copy(), until=lambda: True)
+        gc.collect()
+        assert sights() == before
 
 
 # Random numbers.

@@ -403,6 +403,11 @@ class Odd(Lamp):
         yield 1
 
     @esair.operation
+    @staticmethod
+    async def apart(one: Any, angle) -> None:  # type: ignore[no-untyped-def]
+        """Told once, not for its parameters."""
+
+    @esair.operation
     async def large(self, size: float = 10**400) -> None: ...
 
     @esair.operation(deadline=2.0)
@@ -420,8 +425,8 @@ def test_what_is_no_operation_is_told() -> None:
         ("some", "expected a method that does not yield"),
         ("more", "expected a method that does not yield"),
     ]
-    assert [field for field, _ in told[4:]] == ["large"]
-    assert told[4][1].startswith("the default of 'size': ")
+    assert [field for field, _ in told[4:]] == ["apart", "large"]
+    assert told[5][1].startswith("the default of 'size': ")
 
 
 # What the errors of a package mean.
