@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 
 import pytest
 
@@ -497,3 +498,52 @@ async def test_what_waits_is_bounded_within_a_turn_too():
     assert heard[-1] == 3 * BACKLOG
     assert listener.heard == len(heard) == BACKLOG
     assert listener.dropped == 2 * BACKLOG
+
+
+async def test_a_listener_knows_how_much_it_was_told():
+    """Of its kinds alone; what waits, and what was dropped, is not told."""
+    journal, heard = Journal(), list[int]()
+    listener = journal.listen(
+        lambda event: heard.append(event.number), kinds=[Kind.SENT], backlog=3
+    )
+    journal.start(asyncio.get_running_loop())
+    for kind in (Kind.SENT, Kind.PUT, Kind.SENT):
+        journal.publish(kind, "wheels")
+    journal.counts()  # it has them from now on
+    assert (listener.heard, listener.given) == (0, 2)
+    await asyncio.sleep(0)
+    assert (listener.heard, heard) == (2, [1, 3])
+    for _ in range(5):
+        journal.publish(Kind.SENT, "wheels")
+    journal.counts()
+    assert (listener.heard, listener.dropped) == (2, 2)
+    listener.stop()
+    assert (listener.heard, heard) == (2, [1, 3])
+
+
+async def test_what_was_dropped_is_the_sum_of_all():
+    """Of those that listen, and of those that have left; each once."""
+    journal = Journal()
+    journal.start(asyncio.get_running_loop())
+    first, second = (journal.listen(lambda _: None, backlog=n) for n in (3, 8))
+    for _ in range(10):
+        journal.publish(Kind.SENT, "wheels")
+    assert journal.counts()["journal"] == {"events": 10, "dropped": 9, "ended": 0}
+    first.stop()
+    first.stop()
+    assert journal.counts()["journal"]["dropped"] == 9
+    assert second.dropped == 2
+
+
+async def test_each_resident_of_a_kind_acts():
+    """In the order in which they came, with the event; of another kind none does."""
+    journal, order = Journal(), list[tuple[str, int, str]]()
+
+    def told(name: str) -> Callable[[Event], None]:
+        return lambda event: order.append((name, event.number, event.component))
+
+    journal.attach(Kind.SENT, told("first"))
+    journal.attach(Kind.SENT, told("second"))
+    journal.publish(Kind.PUT, "guest")
+    journal.publish(Kind.SENT, "wheels")
+    assert order == [("first", 2, "wheels"), ("second", 2, "wheels")]

@@ -3,12 +3,13 @@
 import asyncio
 import logging
 import re
+import threading
 from typing import Any, NoReturn
 
 import pytest
 
 import esair
-from esair.journal import Beside
+from esair.journal import Beside, Kind, text_of
 
 FLOOD = 500
 CLOCKS = "virtual_clock", "real_clock"
@@ -32,6 +33,71 @@ def test_a_source_that_floods_the_log_is_shown_now_and_then_and_counted() -> Non
     left = sum(int(number) for each in told for number in re.findall(r"^\d+", each))
     assert len(lines) + left == FLOOD
     assert len(lines) <= FLOOD / 10
+
+
+@pytest.mark.fault("P05")
+@pytest.mark.real_clock
+def test_twenty_lines_of_a_source_in_a_second_are_no_flood() -> None:
+    """All are shown, and nothing is said of them."""
+    shown: list[str] = []
+    beside = Beside(lambda record: shown.append(record.getMessage()))
+    lines = [f"sonar: lost: wiggle {number}" for number in range(20)]
+    for each in lines:
+        beside.hand(logging.makeLogRecord({"msg": each}))
+    beside.close(5.0)
+    assert shown == lines
+
+
+@pytest.mark.fault("P05")
+@pytest.mark.real_clock
+def test_what_came_too_fast_is_told_once() -> None:
+    """A thousand lines may wait for one that is slow to be shown; those after them are
+    counted."""
+    shown, begun, go = list[str](), threading.Event(), threading.Event()
+
+    def show(record: logging.LogRecord) -> None:
+        begun.set()
+        go.wait(10.0)
+        shown.append(record.getMessage())
+
+    beside = Beside(show)
+    beside.hand(logging.makeLogRecord({"msg": "first"}))
+    assert begun.wait(10.0)
+    lines = [f"source {number}: lost" for number in range(1003)]
+    for each in lines:
+        beside.hand(logging.makeLogRecord({"msg": each}))
+    assert beside.dropped == 3
+    go.set()
+    beside.close(10.0)
+    told = "3 lines were dropped: they came too fast"
+    assert shown == ["first", told, *lines[:1000]]
+
+
+def test_a_line_that_cannot_be_shown_is_told_as_such() -> None:
+    """By its logger, and what was wrong; all others have their own text."""
+    fine = logging.makeLogRecord({"msg": "%s is lost", "args": ("sonar",)})
+    wrong = logging.makeLogRecord({"name": "mine", "msg": "%d", "args": ("sonar",)})
+    assert text_of(fine) == "sonar is lost"
+    assert text_of(wrong).startswith("a line of 'mine' cannot be shown: TypeError")
+
+
+@pytest.mark.virtual_clock
+async def test_lines_for_who_looks_for_a_mistake_are_no_events(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """What is logged with the level INFO, or above, is."""
+    caplog.set_level(logging.DEBUG, "esair")
+    told: list[tuple[str, str, str]] = []
+    async with esair.Robot() as robot:
+        robot.journal.listen(
+            lambda event: told.append((event.component, event.peer, event.text)),
+            kinds=[Kind.LOG],
+        )
+        logging.getLogger("esair.mine").debug("at length")
+        logging.getLogger("esair.mine").info("in short")
+        await asyncio.sleep(0.01)
+    assert ("esair.mine", "info", "in short") in told
+    assert not [text for _, _, text in told if text == "at length"]
 
 
 class Handling(logging.Handler):

@@ -45,7 +45,7 @@ from tests.mutation.mutants import Mutant, mutants_of
 SOURCE = Path(__file__).parents[2] / "src/esair"
 MUTATED = ["connections", "supervisors"]
 """The rooms in which mistakes are made, unless others are named."""
-MEASURED = [*MUTATED, "actions", "loop", "plan", "resources"]
+MEASURED = [*MUTATED, "actions", "journal", "loop", "plan", "resources"]
 TESTS = [
     *(f"tests/{room}" for room in ("connections", "supervisors", "protection", "turn")),
     *(f"tests/{room}" for room in ("actions", "resources", "journal", "recording")),
