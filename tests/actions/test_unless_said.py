@@ -409,6 +409,41 @@ async def test_a_step_that_has_ended_has_no_say_any_more() -> None:
         assert sights() == before
 
 
+# Why it is parked.
+
+
+@pytest.mark.promise("REA-3")
+@pytest.mark.parametrize(
+    ("what", "detail"),
+    [
+        ("nothing yet", "no reading of sonar yet"),
+        ("removed", "sonar was removed"),
+        ("lost", "sonar lost"),
+        ("lost with a word", "sonar lost: OSError: the cable"),
+        ("silent", "sonar is older than 0.5 s"),
+    ],
+)
+async def test_who_is_parked_says_why_in_short(what: str, detail: str) -> None:
+    """By the port, without the words that its state says already."""
+    sonar = FakeSensor[float]("sonar")
+    wheels = FakeActuator("wheels", safe=0.0)
+    copy = Copy(reads={"sonar": esair.reads(float, max_age=0.5)})
+    async with esair.Robot(resources=[sonar, wheels], behaviors=[copy]) as robot:
+        if what != "nothing yet":
+            sonar.feed(1.0)
+            await wheels.until(1.0)
+        if what == "removed":
+            await robot.resources.remove("sonar")
+        if what == "lost":
+            sonar.report_lost(esair.DeviceLostError("sonar"))
+        if what == "lost with a word":
+            sonar.report_lost(OSError("the cable"))
+        await asyncio.sleep(0.6 if what == "silent" else 0.001)
+        status = robot.behaviors.query("copy")
+        assert status.state is esair.BehaviorState.PARKED
+        assert status.detail == detail
+
+
 # Random numbers.
 
 

@@ -296,6 +296,10 @@ def test_what_is_computed_of_a_sensor_is_fine() -> None:
 
 # What a behavior takes.
 
+ONE_PARAMETER = (
+    "expected one parameter, annotated with a class derived from esair.Request"
+)
+
 
 class NoRequest(esair.Behavior):
     orders = esair.takes(int)  # type: ignore[type-var]
@@ -332,6 +336,60 @@ class NoType(esair.Behavior):
     async def run(self) -> None: ...
 
 
+class AnswersUnknown(esair.Behavior):
+    @esair.answers
+    async def order(self, request: parts.Missing) -> int:  # type: ignore[name-defined]
+        return 1
+
+
+class AnswersByName(esair.Behavior):
+    @esair.answers  # type: ignore[arg-type]
+    async def order(self, *, request: parts.Order) -> int:
+        return 1
+
+
+class AnswersTwo(esair.Behavior):
+    @esair.answers  # type: ignore[arg-type]
+    async def order(self, request: parts.Order, other: parts.Order) -> int:
+        return 1
+
+
+class AnswersAll(esair.Behavior):
+    @esair.answers
+    async def order(self, request: esair.Request[int]) -> int:
+        return 1
+
+
+class AnswersText(esair.Behavior):
+    @esair.answers
+    async def order(self, request: parts.Order) -> str:
+        return ""
+
+
+class AnswersNothing(esair.Behavior):
+    @esair.answers
+    async def order(self, request: parts.Order) -> None: ...
+
+
+class PlainYields(esair.Behavior):
+    @esair.answers
+    def order(self, request: parts.Order) -> Any:
+        yield 1
+
+
+class Done(esair.Request[None]):
+    """It is answered, and there is nothing to say."""
+
+
+class AnswersDone(esair.Behavior):
+    @esair.answers
+    async def done(self, request: Done) -> None: ...
+
+    @esair.answers
+    def order(self, request: parts.Order):  # type: ignore[no-untyped-def]
+        return 1
+
+
 class ThreadReacts(esair.ThreadBehavior):
     def react(self) -> float:
         return 1.0
@@ -350,6 +408,15 @@ class ThreadReacts(esair.ThreadBehavior):
          "not in __init__"),
         (NoType, "sonar", "expected a type such as float, not None (a name is given by "
          "name=)"),
+        (AnswersUnknown, "order", "its annotations cannot be read: module "
+         "'tests.plan.rulebook_parts' has no attribute 'Missing'"),
+        *((each, "order", ONE_PARAMETER) for each in (AnswersByName, AnswersTwo)),
+        (AnswersAll, "order", ONE_PARAMETER),
+        (AnswersText, "order", "it returns str, but Order is answered with int"),
+        (AnswersNothing, "order",
+         "it returns NoneType, but Order is answered with int"),
+        (PlainYields, "order",
+         "expected a method that returns its answer, not one that yields"),
         (ThreadReacts, "react",
          "it never runs: derive from esair.Reaction, or write run"),
     ],
@@ -375,7 +442,9 @@ class SetsOfAnother(parts.Drive):
         other.wheels = 1.0
 
 
-@pytest.mark.parametrize("sound", [RunsAndReacts, SetsOfAnother, parts.TakesOne])
+@pytest.mark.parametrize(
+    "sound", [RunsAndReacts, SetsOfAnother, parts.TakesOne, AnswersDone]
+)
 def test_a_behavior_as_it_may_be_is_fine(sound: type[esair.Behavior]) -> None:
     """Its run calls its react; no port of its own is hidden; one request may wait."""
     assert told(sound()) == []
