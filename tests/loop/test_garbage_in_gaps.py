@@ -212,8 +212,9 @@ def test_while_robots_start_or_stop_as_much_may_come_as_is_there(
     python: Interpreter, blocks: int, most: int
 ) -> None:
     """What they are made of is kept; of a small program, and of one that cannot tell, few."""
-    python.blocks = blocks
+    python.blocks = 500_000  # when esair is imported
     collector = Collector()
+    python.blocks = blocks
     collector.start()
     python.come(most - ROUND)
     assert not python.looked_at
@@ -454,6 +455,7 @@ async def test_a_collection_in_a_gap_is_short(
     python: Interpreter, started: Collector
 ) -> None:
     """It takes a millisecond, from the second on: as often as so much has come."""
+    python.come(50_000, "kept")  # until it is up
     steps = Steps(python, 0.01, 1_000)
     await steps.run(5.0)
     (first, many), again, *others = steps.collected

@@ -57,15 +57,45 @@ def loop() -> Any:
 # Who holds a loop.
 
 
-def watch(loop: Any, *limits: float) -> StallWatch:
-    """A watch that only looks when the test says so."""
-    watch = StallWatch(loop)
-    watch._limits.extend(limits)
+class Asleep:
+    """An overseer that only looks when the test says so."""
+
+    def __init__(self) -> None:
+        self.looks: list[Callable[[float], float]] = []
+        self.awoken = 0
+
+    def join(self, look: Callable[[float], float]) -> None:
+        self.looks.append(look)
+
+    def leave(self, look: Callable[[float], float]) -> None:
+        self.looks.remove(look)
+
+    def wake(self) -> None:
+        self.awoken += 1
+
+
+@pytest.fixture
+def asleep(monkeypatch: pytest.MonkeyPatch) -> Asleep:
+    asleep = Asleep()
+    monkeypatch.setattr(_overseer, "overseer", asleep)
+    return asleep
+
+
+@pytest.fixture
+def watch(asleep: Asleep) -> Callable[..., StallWatch]:
+    def watch(loop: Any, *limits: float) -> StallWatch:
+        watch = StallWatch(loop)
+        for limit in limits:
+            watch.start(limit)
+        return watch
+
     return watch
 
 
 @pytest.mark.fault("B07")
-def test_who_holds_a_loop_is_named_once_each_time(loop: Any, caplog: Any) -> None:
+def test_who_holds_a_loop_is_named_once_each_time(
+    loop: Any, watch: Any, caplog: Any
+) -> None:
     """As soon as it is longer than the strictest limit, and not before."""
     stalls = watch(loop, 1.0, 0.1)
     assert stalls.look(10.0) == pytest.approx(10.05)
@@ -85,7 +115,9 @@ def test_who_holds_a_loop_is_named_once_each_time(loop: Any, caplog: Any) -> Non
 
 
 @pytest.mark.fault("B07")
-def test_a_loop_that_turns_is_asked_again_and_again(loop: Any, caplog: Any) -> None:
+def test_a_loop_that_turns_is_asked_again_and_again(
+    loop: Any, watch: Any, caplog: Any
+) -> None:
     """Nobody is named, however long it runs."""
     stalls = watch(loop, 0.1)
     for number in range(50):
@@ -95,10 +127,32 @@ def test_a_loop_that_turns_is_asked_again_and_again(loop: Any, caplog: Any) -> N
     assert not caplog.records
 
 
-def test_a_loop_that_is_closed_is_nobodys_fault() -> None:
+def test_a_loop_that_is_closed_is_nobodys_fault(watch: Any) -> None:
     """Its robot is about to say that it has ended."""
     held: Any = Closed()
     assert watch(held, 0.1).look(1.0) == pytest.approx(1.05)
+
+
+@pytest.mark.fault("B07")
+def test_the_strictest_robot_of_a_loop_counts_while_it_runs(
+    loop: Any, watch: Any, asleep: Asleep, caplog: Any
+) -> None:
+    """From the moment on at which it starts; the last one ends the watch."""
+    stalls = watch(loop, 1.0)
+    assert asleep.awoken == 0
+    stalls.start(0.1)
+    assert asleep.awoken == 1  # a look that was due in half a second is due now
+    assert asleep.looks == [stalls.look]
+    stalls.stop(0.1)
+    stalls.look(10.0)
+    assert stalls.look(10.5) == pytest.approx(11.0)
+    assert not caplog.records
+    stalls.stop(1.0)
+    assert asleep.looks == []
+    stalls.start(1.0)
+    stalls.look(12.0)  # it is asked anew
+    stalls.look(12.5)
+    assert not caplog.records
 
 
 class Arm(esair.Behavior):
@@ -216,6 +270,22 @@ def test_who_holds_the_loop_once_more_is_asked_once_more(
 
 
 @pytest.mark.promise("ROB-6")
+def test_a_reason_to_end_is_looked_at_at_once(
+    loop: Any, asleep: Asleep, left: list[int]
+) -> None:
+    """While it is watched; without a signal the process is left with 1."""
+    ending = Ending(loop, patience=5.0)
+    ending.start()
+    assert asleep.looks == [ending.look]
+    ending.because(10.0)
+    assert asleep.awoken == 1
+    ending.look(15.0)
+    assert left == [1]
+    ending.stop()
+    assert asleep.looks == []
+
+
+@pytest.mark.promise("ROB-6")
 def test_the_first_reason_to_end_counts(
     loop: Any, kicked: list[int], left: list[int]
 ) -> None:
@@ -267,6 +337,10 @@ def test_signals_that_somebody_uses_are_left_to_him() -> None:
         kicks.stop()
         assert signal.getsignal(signal.SIGALRM) is mine
         assert signal.getsignal(signal.SIGURG) is signal.SIG_DFL
+        signal.signal(signal.SIGURG, mine)
+        kicks.stop()
+        assert signal.getsignal(signal.SIGURG) is mine
+        signal.signal(signal.SIGURG, signal.SIG_DFL)
     finally:
         signal.signal(signal.SIGALRM, before)
 
@@ -292,6 +366,12 @@ def test_nothing_is_interrupted_where_no_loop_runs() -> None:
     import sys
 
     break_out(sys._getframe(), forced=True)
+
+
+@pytest.mark.promise("ROB-6")
+async def test_code_of_nobody_is_not_interrupted() -> None:
+    """A library that no user has called."""
+    break_out(None, forced=True)
 
 
 @pytest.mark.promise("ROB-6")
@@ -339,13 +419,14 @@ def test_the_thread_lives_while_something_is_watched() -> None:
     number = overseer.thread_id
     assert number is not None
     overseer.join(often)
-    until = time.monotonic() + 5.0
+    until = time.monotonic() + 2.5
     while looks.count("often") < 5 and time.monotonic() < until:
         time.sleep(0.005)
     assert overseer.thread_id == number
     assert looks.count("rare") < 50  # it sleeps until then
     overseer.leave(rare)
     overseer.leave(rare)  # a fork has none
+    assert looks.count("often") == 5
     assert overseer.thread_id == number
     overseer.leave(often)
     assert overseer.thread_id is None
