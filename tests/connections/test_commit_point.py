@@ -175,6 +175,34 @@ async def test_a_removal_waits_for_the_write_in_flight(user_of: Any) -> None:
 
 
 @pytest.mark.promise("AC-4")
+async def test_a_successor_waits_for_the_write_in_flight_as_the_first_did(
+    user_of: Any,
+) -> None:
+    """That the device before it had to go by a moment does not hurry it."""
+    log: list[float] = []
+
+    class Slow(esair.Actuator[float]):
+        safe = 0.0
+
+        async def write(self, command: float) -> None:
+            if command:
+                await asyncio.sleep(0.2)
+            log.append(command)
+
+    user = user_of("user", slow=esair.writes(float))
+    async with esair.Robot(resources=[Slow()], behaviors=[user]) as robot:
+        await robot.resources.replace("slow", Slow())
+        await asyncio.sleep(5.0)
+        log.clear()
+        writing = asyncio.create_task(user.slow.write(1.0))
+        await asyncio.sleep(0.1)
+        robot.actuators.channels["slow"].make_safe()
+        await writing
+        await asyncio.sleep(0.5)
+        assert log == [1.0, 0.0]
+
+
+@pytest.mark.promise("AC-4")
 @pytest.mark.fault("D04", "D22")
 async def test_a_write_from_before_a_loss_does_not_move_the_device_after_it(
     user_of: Any,
