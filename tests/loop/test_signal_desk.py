@@ -7,6 +7,7 @@ import functools
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Coroutine, Iterator
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +15,14 @@ from typing import Any
 import attrs
 import pytest
 
-from esair.loop import LateSignals, ProcessWatch, SignalWatch, _overseer, _signals
+from esair.loop import (
+    Ending,
+    LateSignals,
+    ProcessWatch,
+    SignalWatch,
+    _overseer,
+    _signals,
+)
 from esair.loop._overseer import LoopHeldError, Overseer
 from esair.loop._signals import ENDING, LAST_WORD, SignalDesk
 from esair.testing import VirtualLoop
@@ -167,6 +175,46 @@ async def test_the_third_leaves_as_soon_as_all_is_safe(process: Process) -> None
     assert process.desk._last_word == now + LAST_WORD
     for each in (safe, moves):
         each.watch.stop()
+
+
+@alone
+async def test_the_process_has_its_time_from_the_first_signal_on(
+    process: Process,
+) -> None:
+    """Whatever its loop does about it; then it is left as a signal would have."""
+    robot, loop = Robot(), asyncio.get_running_loop()
+    robot.watch.start(interrupts=False)
+    robot.watch.last = last = Ending(loop, patience=5.0)
+    signal.raise_signal(TERM)
+    now = time.monotonic()
+    last.look(now)
+    await turn()
+    last.look(now + 4.0)
+    assert process.left == []
+    last.look(now + 5.0)
+    assert process.left == [128 + TERM]
+    robot.watch.stop()
+
+
+@alone
+async def test_a_robot_of_another_thread_is_told_if_somebody_hears_signals(
+    process: Process,
+) -> None:
+    """Only the main thread can: a robot there hears them for all."""
+    away, here = Robot(), Robot()
+
+    def start() -> bool:
+        return process.desk.join(away.watch, interrupts=True)
+
+    assert not await asyncio.to_thread(start)
+    assert signal.getsignal(TERM) is signal.SIG_DFL
+    process.desk.leave(away.watch)
+    here.watch.start(interrupts=False)
+    assert await asyncio.to_thread(start)
+    signal.raise_signal(TERM)
+    assert away.watch.number == TERM
+    process.desk.leave(away.watch)
+    here.watch.stop()
 
 
 @alone
