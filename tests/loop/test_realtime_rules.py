@@ -170,6 +170,8 @@ def test_what_is_refused_changes_nothing(computer: Computer) -> None:
     assert "--rtprio=21 --memlock=unlimited" in loop.start(20)
     assert computer.ranks[0] == (OTHER, 0)
     assert (computer.pages, computer.switch) == (0, 0.005)
+    computer.most = 21
+    assert refusal(20) == ""
     computer.most = 99
     computer.unlockable = ON_FAULT
     told = f"memory cannot be locked: {os.strerror(errno.ENOMEM)}"

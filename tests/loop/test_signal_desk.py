@@ -342,9 +342,14 @@ async def test_others_are_those_of_the_same_loop_by_other_tasks(
     assert process.desk.others(robot.watch)
     other.watch.loop = None
     assert not process.desk.others(robot.watch)
-    for each in (robot, same, other):
-        each.watch.stop()
+    other.watch.loop = asyncio.get_running_loop()
+    await robot.watch.others_stopped(0.02)
+    assert process.desk.others(robot.watch)
+    other.watch.loop.call_later(1.0, other.watch.stop)
     await robot.watch.others_stopped(5.0)
+    assert not process.desk.others(robot.watch)
+    for each in (robot, same):
+        each.watch.stop()
 
 
 @alone
@@ -369,6 +374,7 @@ async def test_who_holds_the_loop_at_a_signal_is_interrupted(
         signal.raise_signal(signal.SIGURG)
     signal.raise_signal(signal.SIGURG)
     assert broken == [False]
+    assert signal.getitimer(signal.ITIMER_REAL)[0] > 0.0
     await turn()
     signal.raise_signal(signal.SIGURG)
     assert broken == [False]
@@ -469,6 +475,28 @@ def test_asyncios_runner_hears_of_the_first_interrupt(process: Process) -> None:
     assert signal.getsignal(INT) is signal.default_int_handler
 
 
+def test_without_a_runner_the_first_interrupt_is_the_robots(process: Process) -> None:
+    """One that ran before has nothing to do with it."""
+
+    async def program() -> None:
+        before = Robot()
+        before.watch.start(interrupts=False)
+        before.watch.stop()
+
+    @alone
+    async def later() -> None:
+        robot = Robot()
+        robot.watch.start(interrupts=False)
+        signal.raise_signal(INT)
+        await turn()
+        assert robot.told == [INT]
+        robot.watch.stop()
+
+    with asyncio.Runner() as runner:
+        runner.run(program())
+    later()
+
+
 @pytest.mark.promise("ROB-5")
 def test_a_robot_that_outlives_the_runner_puts_back_what_that_would(
     process: Process,
@@ -497,8 +525,13 @@ async def test_a_signal_after_a_robot_that_ended_in_another_thread(
     other = threading.Thread(target=robot.watch.stop)
     other.start()
     other.join()
+    again = Robot()
+    again.watch.start(interrupts=False)
+    other = threading.Thread(target=again.watch.stop)
+    other.start()
+    other.join()
     with pytest.raises(KeyboardInterrupt):
         signal.raise_signal(INT)
-    assert robot.told == []
+    assert robot.told == again.told == []
     assert process.overseer.looks == []
     assert signal.getsignal(TERM) is signal.SIG_DFL
