@@ -230,11 +230,11 @@ class Why(NamedTuple):
     resting: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        held = f"held by {self.holder} ({self.rule})"
-        frees = f"freed by {self.frees}"
+        held, frees = f", held by {self.holder} ({self.rule})", f"freed by {self.frees}"
         if self.holder is None:
-            held, frees = f"and free: {self.rule}", ""
-        told = f"{self.resource} is {self.state.value}, {held}"
+            is_there = self.state is ResourceState.READY
+            held, frees = f"{', and free' if is_there else ''}: {self.rule}", ""
+        told = f"{self.resource} is {self.state.value}{held}"
         lines = [told, frees, *self.guards, *self.writers, *self.resting, self.dies]
         return "\n  ".join(line for line in lines if line)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from typing import Any
 
@@ -129,3 +130,22 @@ async def test_who_may_write_is_told_with_what_happens_when_it_is_blind(
             "stops writes with priority 10; when blind: safe",
             "lets writes with priority 0; when blind: release",
         )
+
+
+async def test_why_names_the_loss_of_a_device_before_anything_else() -> None:
+    """Whoever is blind keeps a device still that is there; of one that is lost, that."""
+    sonar = FakeSensor("sonar", 2.0, type=float)
+    wheels: FakeActuator[float] = FakeActuator("wheels", safe=0.0)
+    async with esair.Robot(
+        resources=[sonar, wheels], behaviors=[Drive(), ObstacleStop()]
+    ) as robot:
+        await wheels.until(lambda command: command)
+        sonar.unplug()
+        wheels.unplug()
+        await asyncio.sleep(1.0)
+        why = robot.resources.why("wheels")
+        assert str(why).startswith("wheels is lost: it is unplugged\n")
+        assert (why.holder, why.frees) == (None, "the device, when it is back")
+        wheels.plug()
+        await asyncio.sleep(5.0)
+        assert robot.resources.why("wheels").holder == "obstacle_stop"

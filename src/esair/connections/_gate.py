@@ -24,6 +24,7 @@ from esair.exceptions import (
     EsairError,
     NotRegisteredError,
     StoppingError,
+    in_short,
 )
 from esair.journal import Journal, Kind
 from esair.loop import REACHED, ask_outside, clock_beside
@@ -491,6 +492,10 @@ def explain(
     elif isinstance(error, BeingReplacedError):
         by = USER, HALT_PRIORITY, error.detail, gate.since, None
         frees = "the device that takes its place, when it is open"
+    elif error is not None or device.state is not READY:
+        rule = "it is not open" if error is None else in_short(error)
+        frees = "the device, when it is back"
+        return Why(device.name, device.state, rule=rule, frees=frees, last=told)
     elif blind is not None and (holder is None or holder.priority <= blind.priority):
         by = blind.component, blind.priority, blind.rule, blind.since, None
         frees = f"its next decision, or a write with a priority above {blind.priority}"
