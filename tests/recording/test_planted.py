@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
@@ -88,3 +89,14 @@ def test_only_what_is_this_users_is_recovered_by_itself(cut: Path) -> None:
     if os.geteuid() == 0:
         os.chown(cut, 65534, 65534)
         assert left_cut(folder) == []
+
+
+def test_what_has_no_room_is_named(tmp_path: Path) -> None:
+    """The system says of a full disk only that it is full."""
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with (
+        pytest.raises(OSError, match="run-plot[.]png"),
+        replaced(tmp_path / "run-plot.png"),
+    ):
+        raise full
+    assert not list(tmp_path.iterdir())

@@ -116,8 +116,10 @@ def replaced(path: Path) -> Iterator[BinaryIO]:
             with os.fdopen(descriptor, "wb") as file:
                 yield file
             os.replace(partial, path.name, src_dir_fd=folder, dst_dir_fd=folder)
-        except BaseException:
+        except BaseException as error:
             os.unlink(partial, dir_fd=folder)
+            if isinstance(error, OSError):  # a full disk names no file
+                error.filename = str(path)
             raise
     finally:
         os.close(folder)
