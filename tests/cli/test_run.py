@@ -205,6 +205,18 @@ def test_a_full_disk_keeps_no_robot_from_running(folder, start) -> None:
     assert 1.0 in sent(where)
 
 
+def test_nothing_is_left_open_at_its_end(folder, start) -> None:
+    """Whoever has Python's warnings as errors gets none of the command line."""
+    where = folder("Once")
+    words = ["-W", "error", "-m", "esair", "run", "robot.toml"]
+    code = f"import os, sys; os.execv(sys.executable, [sys.executable, *{words}])"
+    process = start(cwd=where, code=code)
+    _, log = process.communicate(timeout=60)
+
+    assert "stop: " in log
+    assert "Warning" not in log
+
+
 @pytest.mark.parametrize("behavior", ["Which", "Always"])
 @pytest.mark.long
 def test_it_runs_on_uvloop(folder, start, behavior) -> None:

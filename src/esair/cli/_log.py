@@ -6,7 +6,6 @@ import contextlib
 import copy
 import io
 import logging
-import os
 import sys
 from collections.abc import Iterator
 from typing import Final
@@ -47,12 +46,11 @@ def shown_log(*, verbose: bool, tracebacks: bool = False) -> Iterator[None]:
 
 def _console() -> Console:
     try:
-        descriptor = os.dup(sys.stderr.fileno())
+        # A file of its own and without a buffer: the thread that is stuck in it must not
+        # hold a lock that the interpreter takes when it ends.
+        file = io.FileIO(sys.stderr.fileno(), "w", closefd=False)
     except (AttributeError, OSError):  # it is closed, or no file at all
         return Console(stderr=True, highlight=False)
-    # A file of its own and without a buffer: the thread that is stuck in it must not
-    # hold a lock that the interpreter takes when it ends.
-    file = io.FileIO(descriptor, "w")
     text = io.TextIOWrapper(file, "utf-8", errors="replace", write_through=True)
     return Console(file=text, highlight=False)
 
