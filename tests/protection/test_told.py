@@ -139,7 +139,7 @@ async def test_why_names_the_loss_of_a_device_before_anything_else() -> None:
     async with esair.Robot(
         resources=[sonar, wheels], behaviors=[Drive(), ObstacleStop()]
     ) as robot:
-        await wheels.until(lambda command: command)
+        await wheels.until(lambda command: command > 0.0)
         sonar.unplug()
         wheels.unplug()
         await asyncio.sleep(1.0)

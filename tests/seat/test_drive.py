@@ -266,6 +266,27 @@ def test_a_line_of_wide_letters_does_not_wrap(capsys, monkeypatch):
 
 
 @pytest.mark.promise("OPS-4")
+@pytest.mark.parametrize(
+    ("rule", "told"),
+    [
+        ("fence is blind: gate lost: it is unplugged", "refused: fence is blind: gate"),
+        ("nobody may", "refused: fence: nobody may"),
+    ],
+)
+def test_who_refuses_is_told_once(capsys, monkeypatch, rule, told):
+    """A rule that names it leaves the room of the line to what is wrong."""
+    monkeypatch.setenv("COLUMNS", "60")
+    answer = {"written": False, "holder": "fence", "rule": rule}
+    client = SimpleNamespace(
+        lines=lambda _: [{"id": "1", "ok": True, "result": answer}]
+    )
+    wheel = _Wheel(client, "wheels", 0.3, 0.5)  # type: ignore[arg-type]
+    wheel._sent = "1"
+    wheel._hear()
+    assert told in capsys.readouterr().out
+
+
+@pytest.mark.promise("OPS-4")
 def test_how_to_go_on_fits_into_60_columns(capsys, monkeypatch):
     """After a lease has lapsed a narrow terminal says all of it, the key to leave too."""
     monkeypatch.setenv("COLUMNS", "60")

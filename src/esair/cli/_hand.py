@@ -246,8 +246,9 @@ class _Wheel:
                 if not found["ok"]:
                     self._show(str(found["error"]["text"]))
                 elif not found["result"]["written"]:
-                    answer = found["result"]
-                    self._show(f"refused by {answer['holder']}: {answer['rule']}")
+                    by, rule = found["result"]["holder"], found["result"]["rule"]
+                    told = rule if rule.startswith(by) else f"{by}: {rule}"
+                    self._show(f"refused: {told}")  # what does not fit is cut
 
     def _show(self, text: str) -> None:
         if text != self._shown:
