@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
+from tests.replay import robots
 from tests.replay.test_replay import verbs
 
+import esair
 from esair.cli._replay import show
-from esair.replay import Outcome
+from esair.exceptions import RecordingBrokenError
+from esair.replay import Outcome, Replay
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.promise("REP-2")]
 
@@ -193,3 +198,49 @@ def test_a_replay_that_has_compared_nothing_is_not_equal(
     out, err = capsys.readouterr()
     assert out.startswith("equal") is bool(equal)
     assert err == ("" if equal else f"esair: nothing was compared: {cut}\n")
+
+
+async def _beside(first: Path, second: Path) -> None:
+    async with robots.make(first):
+        await asyncio.sleep(0.1)
+        async with robots.make():
+            await asyncio.sleep(0.2)
+        async with robots.make():
+            await asyncio.sleep(0.1)
+
+
+async def _in_a_row(first: Path, second: Path) -> None:
+    for path in (first, second):
+        async with robots.make(path):
+            await asyncio.sleep(0.2)
+
+
+async def _after_one_without(first: Path, second: Path) -> None:
+    async with robots.make():
+        await asyncio.sleep(0.1)
+        async with robots.make(second):
+            await asyncio.sleep(0.1)
+
+
+@pytest.mark.parametrize(
+    ("program", "first", "second"),
+    [
+        (_beside, "another robot has begun in its event loop", None),
+        (_in_a_row, None, "not exact: another robot was run"),
+        (_after_one_without, None, "not exact: another robot was run"),
+    ],
+)
+def test_one_run_of_a_loop_repeats_and_says_up_to_where(
+    tmp_path: Path, program: Any, first: str | None, second: str | None
+) -> None:
+    """The turns of a loop are those of all its robots, recorded or not."""
+    paths = tmp_path / "first.mcap", tmp_path / "second.mcap"
+    with asyncio.Runner(loop_factory=esair.new_event_loop) as runner:
+        runner.run(program(*paths))
+    if first is not None:
+        outcome = Replay(paths[0]).run(robots.make())
+        assert outcome.divergence is None
+        assert outcome.short == first
+    if second is not None:
+        with pytest.raises(RecordingBrokenError, match=second):
+            Replay(paths[1])

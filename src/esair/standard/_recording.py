@@ -132,9 +132,13 @@ class Keeping:
 
     def begin(self, robot: Robot) -> None:
         loop = asyncio.get_running_loop()
+        turn = turn_of(loop)
         if repeats(loop):
-            turn_of(loop).play()
+            turn.play()
             return
+        turn.robots += 1
+        if isinstance(turn.door.tape, TapeWriter):
+            turn.door.tape.spoil("another robot has begun in its event loop")
         if self.recording is None:
             return
         plan, journal = robot.plan, robot.journal
@@ -152,16 +156,16 @@ class Keeping:
                 name=plan.name,
                 facts=facts_about(plan.name, parts, text, str(robot.seed)),
                 components=lambda: components_of(robot),
-                waits=turn_of(loop).virtual,
+                waits=turn.virtual,
             )
             about = self._replay(loop, file, simulated=simulated)
             placed = json.dumps([each.name for each in parts if is_placed(each)])
             recorder.note("replay", {**about, "sha256": digest, "placed": placed})
             journal.count("recording", lambda: [("recording", recorder.counts())])
-            if about["exact"] == "yes" and turn_of(loop).repeats:
-                turn_of(loop).keep(recorder.keep_turns())
+            if about["exact"] == "yes" and turn.repeats:
+                turn.keep(recorder.keep_turns())
                 self._keeps = True
-            recorder.start(turn_of(loop).clock())
+            recorder.start(turn.clock())
             self.recorder = recorder
         except ImportError as error:
             told = f"it needs {error.name}: pip install 'esair[record]'"
@@ -179,9 +183,8 @@ class Keeping:
             why = "its time was virtual: its own test or program repeats it"
         elif not turn.virtual and not turn.repeats:
             why = f"its event loop is {type(loop).__name__}: esair.run brings its own"
-        elif isinstance(turn.door.tape, TapeWriter):
-            why = "another robot was recorded in its event loop"
-            turn.door.tape.spoil("another robot has begun in its event loop")
+        elif turn.robots > 1:
+            why = "another robot was run in its event loop"
         return {
             "format": FORMAT,
             "exact": "no" if why else "yes",
