@@ -79,7 +79,6 @@ class Turn(OfLoop):
         """Keeps what happens from this turn on, where it can be repeated; None: no more."""
         self.play: Callable[[], object] = ignore
         """Begins to repeat the run that `player` has."""
-        self.robots = 0  # How many have begun on this loop
         self.early = EARLY
         """How far ahead something is due already, in ns; nothing where time jumps."""
         self.listen: Callable[[int, Callable[[], object]], object]

@@ -249,18 +249,18 @@ def _in_instance(component: Component) -> Iterator[tuple[str, str]]:
             yield attribute, told
 
 
+_TOLD_LATER = "can_tell_set_up", "supervisor"  # of an open device, of a running robot
+
+
 @once_for_class
 def _computed(cls: type[Component]) -> list[str]:
-    """Return what the rules ask of a component that its class computes by a property.
-
-    Not what is asked of a device that is open: before, it may not be known.
-    """
+    """Return what the rules ask of a component that its class computes by a property."""
     bases = (Sensor, Actuator, Behavior, Reaction)
     base = next((each for each in bases if issubclass(cls, each)), cls)
     computed = inspect.getmembers_static(cls, lambda value: isinstance(value, property))
     esairs = {**hints_of(base), **dict(inspect.getmembers_static(base))}
-    esairs.pop("can_tell_set_up", None)
-    return [n for n, each in computed if esairs.get(n, each) is not each]
+    asked = [n for n, each in computed if esairs.get(n, each) is not each]
+    return [n for n in asked if n not in _TOLD_LATER]
 
 
 def raising(component: object) -> Finding | None:
@@ -345,8 +345,9 @@ def _in_action(action: Behavior | Reaction) -> Iterator[tuple[str, str]]:
     else:
         yield from _in_plain(action, _OF_BEHAVIOR)
         of = type(action)
-        own = [f for f in _BEHAVIOR if getattr(of, f) is not getattr(Behavior, f)]
-        yield from _wrong_methods(action, own)
+        for method in _BEHAVIOR:
+            if getattr(of, method) is not getattr(Behavior, method):
+                yield from _wrong_methods(action, (method,))
         is_inherited = of.run is Behavior.run or of.run is ThreadBehavior.run
         is_step = inspect.isfunction(getattr(of, "react", None))
         if is_step and is_inherited and "react" not in declared_requests(of):

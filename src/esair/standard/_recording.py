@@ -14,6 +14,7 @@ import logging
 import os.path
 import sys
 import tomllib
+import weakref
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Final
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
     from esair.recording import Recorder
     from esair.standard._robot import Robot
 
+
+_BEGUN: Final = weakref.WeakSet[asyncio.AbstractEventLoop]()
+"""In which event loops a robot has begun: their turns hold what all of them do."""
 
 _TOKENS: Final = {"token"}
 """What of the page is for its user alone."""
@@ -129,6 +133,7 @@ class Keeping:
         """What repeats the run, empty for `run` alone, and with which options."""
         self.recorder: Recorder | None = None
         self._keeps = False  # the turns of its loop
+        self._is_first = True  # that has begun in it
 
     def begin(self, robot: Robot) -> None:
         loop = asyncio.get_running_loop()
@@ -136,7 +141,8 @@ class Keeping:
         if repeats(loop):
             turn.play()
             return
-        turn.robots += 1
+        self._is_first = loop not in _BEGUN
+        _BEGUN.add(loop)
         if isinstance(turn.door.tape, TapeWriter):
             turn.door.tape.spoil("another robot has begun in its event loop")
         if self.recording is None:
@@ -183,7 +189,7 @@ class Keeping:
             why = "its time was virtual: its own test or program repeats it"
         elif not turn.virtual and not turn.repeats:
             why = f"its event loop is {type(loop).__name__}: esair.run brings its own"
-        elif turn.robots > 1:
+        elif not self._is_first:
             why = "another robot was run in its event loop"
         return {
             "format": FORMAT,
