@@ -17,7 +17,7 @@ from tests.replay.test_replay import verbs
 import esair
 from esair.cli._replay import show
 from esair.exceptions import RecordingBrokenError
-from esair.replay import Outcome, Replay
+from esair.replay import Outcome, Replay, unrepeatable
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.promise("REP-2")]
 
@@ -244,3 +244,30 @@ def test_one_run_of_a_loop_repeats_and_says_up_to_where(
     if second is not None:
         with pytest.raises(RecordingBrokenError, match=second):
             Replay(paths[1])
+
+
+ALONE = """
+import os
+import timeit
+
+import esair
+
+
+class Alone(esair.Reaction):
+    rate = 10.0
+    wheel = esair.writes(float)
+
+    def react(self) -> float:
+        gain = float(os.environ["GAIN"]) * float(os.getenv("MORE", "1"))
+        return gain * (hash("wheel") % 7) + timeit.default_timer() + float(input())
+"""
+
+
+@pytest.mark.promise("REP-3")
+def test_what_another_process_has_otherwise_is_named(tmp_path: Path) -> None:
+    """Its environment, the hash of a text, what somebody types."""
+    (tmp_path / "alone.py").write_text(ALONE)
+    found = {each.call for each in unrepeatable(tmp_path / "alone.py")}
+
+    alone = {"builtins.hash", "builtins.input", "os.environ", "os.getenv"}
+    assert found == {*alone, "timeit.default_timer"}

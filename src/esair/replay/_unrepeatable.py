@@ -24,6 +24,7 @@ from esair.values import snake_case
 _CLOCK = "the wall clock; esair.now() is the robot's time, also in a replay"
 _RANDOM = "randomness that no seed repeats; esair.random is seeded and recorded"
 _FILE = "a file: a replay reads what is in it then"
+_PROCESS = "of this process alone: another one has another; use a setting of the robot"
 _NETWORK = "the network; what comes in that way should come from a sensor"
 _THREAD = "a thread or process of its own, which nobody orders"
 _ANYIO = "a thread of anyio, which nobody orders; those of asyncio.to_thread repeat"
@@ -40,7 +41,7 @@ _CALLS: Final = {
             time.ctime time.gmtime time.localtime time.monotonic time.monotonic_ns
             time.perf_counter time.perf_counter_ns time.process_time
             time.process_time_ns time.strftime time.thread_time time.thread_time_ns
-            time.time time.time_ns
+            time.time time.time_ns timeit.default_timer
         """,
         _RANDOM: """
             numpy.random os.getrandom os.urandom random secrets uuid.uuid1
@@ -48,11 +49,12 @@ _CALLS: Final = {
         """,
         _ANYIO: "anyio.from_thread anyio.to_thread",
         _FILE: """
-            anyio.Path anyio.open_file glob io.open os.listdir os.open
+            anyio.Path anyio.open_file builtins.input glob io.open os.listdir os.open
             os.path.exists os.path.getmtime os.path.getsize os.path.isdir
             os.path.isfile os.scandir os.stat os.walk pathlib.Path shutil sqlite3
             tempfile
         """,
+        _PROCESS: "builtins.hash os.environ os.getenv",
         _NETWORK: """
             aiohttp anyio.connect_tcp anyio.connect_unix anyio.create_tcp_listener
             anyio.create_udp_socket asyncio.open_connection asyncio.start_server http.client httpx
