@@ -58,8 +58,7 @@ def log(
         with contextlib.suppress(KeyboardInterrupt):
             return _follow(robot, component or [], kind or [], machine=machine)
         return 0
-    with _heard() as warned:
-        return _show(file, component or [], kind or [], warned, machine=machine)
+    return _show(file, component or [], kind or [], machine=machine)
 
 
 @contextlib.contextmanager
@@ -80,26 +79,20 @@ def _heard() -> Iterator[list[str]]:
         log.removeFilter(hear)
 
 
-def _show(
-    file: Path,
-    component: list[str],
-    kind: list[str],
-    warned: list[str],
-    *,
-    machine: bool,
-) -> int:
+def _show(file: Path, component: list[str], kind: list[str], *, machine: bool) -> int:
     from esair.recording import Gaps, events_of, facts_of
 
     named: set[str] = set()
-    gaps = Gaps(facts_of(file))
-    for event in events_of(file):
-        gaps.hear(event)
-        if len(named) < NAMES:
-            named |= {event.component, event.peer} - {""}
-        if component and not {event.component, event.peer} & set(component):
-            continue
-        if not kind or event.kind in kind:
-            _print(event.time + gaps.offset, event._asdict(), machine=machine)
+    with _heard() as warned:
+        gaps = Gaps(facts_of(file))
+        for event in events_of(file):
+            gaps.hear(event)
+            if len(named) < NAMES:
+                named |= {event.component, event.peer} - {""}
+            if component and not {event.component, event.peer} & set(component):
+                continue
+            if not kind or event.kind in kind:
+                _print(event.time + gaps.offset, event._asdict(), machine=machine)
     if told := "; ".join([*warned, *filter(None, [gaps.told()])]):
         tell(printable(told if warned else f"{file}: {told}"))
     return CANNOT_USE if has_unknown("--component", component, named) else 0
@@ -126,12 +119,11 @@ def _print(when: float, event: Mapping[str, Any], *, machine: bool = False) -> N
     if machine:
         print(json.dumps(event), flush=True)  # noqa: T201 - this is the output
         return
-    clock = _clock(when)
     who = f"{event['peer']} > " if event["peer"] else ""
     value = "" if event["value"] is None else shown(_for_people(event))
     line = " ".join(part for part in (value, event["text"]) if part)
     print(  # noqa: T201 - this is the output
-        f"{clock}.{int(when % 1 * 1000):03} {printable(event['kind'])[:20]:<10} "
+        f"{_clock(when)}.{int(when % 1 * 1000):03} {printable(event['kind'])[:20]:<10} "
         f"{printable(who + event['component'])} {printable(line)}".rstrip(),
         flush=True,
     )

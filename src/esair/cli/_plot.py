@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from esair.cli._errors import CANNOT_USE, has_unknown, is_no_picture, tell
+from esair.cli._log_file import NAMES
 from esair.cli._options import Components, Out
 from esair.values import printable
 
@@ -25,9 +26,6 @@ CHANGES = 4000
 
 MARKS = 1000
 """How many events are marked."""
-
-NAMES = 10_000
-"""How many names of components are known, so that a misspelt one is told."""
 
 LONGEST = 100  # How long a name in the picture may be
 

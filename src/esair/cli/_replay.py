@@ -105,10 +105,9 @@ def _check(made_of: str) -> int:
     from esair.replay import unrepeatable
 
     found = unrepeatable(made_of)
-    for each in found:
-        print(printable(str(each)))  # noqa: T201 - this is the command line
-    if not found:
-        print("nothing was found that could not be repeated")  # noqa: T201 - as above
+    nothing = ["nothing was found that could not be repeated"]
+    for line in [*map(str, found)] or nothing:
+        print(printable(line))  # noqa: T201 - this is the command line
     return DIVERGED if found else 0
 
 

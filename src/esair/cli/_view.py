@@ -164,10 +164,9 @@ class Views:
                 return
             if told["op"] == "unsubscribe":
                 ended = set(told["subscriptionIds"])
+                wanted = viewer.wanted.items()
                 viewer.wanted = {
-                    channel: subscription
-                    for channel, subscription in viewer.wanted.items()
-                    if subscription not in ended
+                    k: number for k, number in wanted if number not in ended
                 }
                 return
         except (ValueError, KeyError, TypeError, RecursionError):

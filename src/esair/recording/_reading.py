@@ -125,9 +125,8 @@ def parts_of(path: Path, *, skip_messages: bool = False) -> Iterator[Part]:
                 yield from _parts_of(file, damaged, skip_messages=skip_messages)
     finally:
         if damaged.count and damaged.begun and not skip_messages:
-            more = (
-                f" and in {damaged.count - 1} more places" if damaged.count > 1 else ""
-            )
+            others = damaged.count - 1
+            more = f" and in {others} more places" if others else ""
             _log.warning(
                 "%s: damaged at byte %d%s, left out", path, damaged.first, more
             )

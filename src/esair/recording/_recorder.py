@@ -121,23 +121,22 @@ class Segment:
             data = self._encode(message)
         except (OverflowError, TypeError, UnicodeEncodeError):  # 65 bits, NumPy's
             data = _json(message).encode()
-        channel = self._channels.get(topic)
-        if channel is None:
-            shape = {"title": schema, **schema_of(message)}
-            channel = self._channels[topic] = self._channel_of(
-                topic, schema=shape, message_encoding="json", context=self._context
-            )
-        self._guarded(channel.log, data, log_time=int(when * 1e9))
+        is_known = topic in self._channels
+        shape = None if is_known else {"title": schema, **schema_of(message)}
+        self._log(topic, "json", shape, data, when)
 
     def write_bytes(self, topic: str, encoding: str, data: bytes, when: float) -> None:
         """Write bytes as a message of an encoding that is esair's own."""
+        shape = self._schema_of(name=encoding, encoding="", data=b"")
+        self._log(topic, encoding, shape, data, when)
+
+    def _log(
+        self, topic: str, encoding: str, shape: Any, data: bytes, when: float
+    ) -> None:
         channel = self._channels.get(topic)
         if channel is None:
             channel = self._channels[topic] = self._channel_of(
-                topic,
-                schema=self._schema_of(name=encoding, encoding="", data=b""),
-                message_encoding=encoding,
-                context=self._context,
+                topic, schema=shape, message_encoding=encoding, context=self._context
             )
         self._guarded(channel.log, data, log_time=int(when * 1e9))
 
@@ -475,10 +474,8 @@ class Recorder:
             oldest.unlink(missing_ok=True)
             _log.info("recording: %s was deleted to make room", oldest.name)
         if self._is_full():
-            raise RecordingError(
-                str(self._segment.path),
-                f"less than {self.recording.min_free} bytes are free on the disk",
-            )
+            told = f"less than {self.recording.min_free} bytes are free on the disk"
+            raise RecordingError(str(self._segment.path), told)
 
     def _is_full(self) -> bool:
         state = os.statvfs(self.path.parent)

@@ -71,26 +71,21 @@ def left_cut(folder: Path) -> list[Path]:
     others = stat.S_IWGRP | stat.S_IWOTH
     if state.st_mode & others and not state.st_mode & stat.S_ISVTX:
         return []
-    return [
-        path for path in sorted(folder.glob("*.mcap"))[-OLD_FILES:] if _is_cut(path)
-    ]
+    newest = sorted(folder.glob("*.mcap"))[-OLD_FILES:]
+    return [path for path in newest if _is_cut(path)]
 
 
 def _is_cut(path: Path) -> bool:
     try:
         if os.path.lexists(path.with_stem(f"{path.stem}{RECOVERED}")):
             return False
-        flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-        descriptor = os.open(path, flags)
-        try:
-            state = os.fstat(descriptor)
+        own = os.O_NOFOLLOW | os.O_NONBLOCK
+        with open(path, "rb", opener=lambda at, how: os.open(at, how | own)) as file:
+            state = os.fstat(file.fileno())
             if not stat.S_ISREG(state.st_mode) or state.st_uid != os.geteuid():
                 return False
-            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)  # Its writer's alone
-            with os.fdopen(descriptor, "rb", closefd=False) as file:
-                return not _ends(file)
-        finally:
-            os.close(descriptor)
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)  # Its writer's alone
+            return not _ends(file)
     except OSError:
         return False
 

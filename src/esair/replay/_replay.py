@@ -129,27 +129,23 @@ class Comparison:
         value = None if size_of(value) > VALUE_LIMIT else plain(value)  # as recorded
         actual = Recorded(*event._replace(value=value))
         expected = self._next()
-        if self.is_over:
-            return
-        if expected is None:
+        if expected is not None and _same(expected, actual):
+            self.equal += 1
+            self._note(actual)
+        elif expected is not None:
+            self._tell(expected, actual)
+        elif not self.is_over:
             if self._is_whole() and self.span.reaches(event.time):
                 self._tell(None, actual)
             self.is_over = True
-            return
-        if _same(expected, actual):
-            self.equal += 1
-            self._note(actual)
-        else:
-            self._tell(expected, actual)
 
     def end(self) -> None:
         """The replay is over: what was recorded and did not happen is a difference."""
         if self.is_over:
             return
         expected = self._next()
-        if not self.is_over and expected is not None:
-            later = math.nextafter(expected.time, math.inf)
-            if self.span.reaches(later):
+        if expected is not None:
+            if self.span.reaches(math.nextafter(expected.time, math.inf)):
                 self._tell(expected, None)
         elif not self.is_over and self._kept is None:
             self.span.reaches(math.inf)  # nobody has played it
@@ -325,10 +321,8 @@ class Replay:
         self.facts = facts
         self.about: dict[str, str] = facts["replay"]
         if self.about.get("format") != FORMAT:
-            raise RecordingBrokenError(
-                str(path),
-                "its turns were kept by another version of esair: it is not read",
-            )
+            told = "its turns were kept by another version of esair: it is not read"
+            raise RecordingBrokenError(str(path), told)
         try:
             self.seed: int = int(facts["robot"]["seed"])
             exact, why = self.about["exact"], self.about["why"]
@@ -341,9 +335,8 @@ class Replay:
             placed = json.loads(self.about.get("placed", "null"))
             self._placed: set[str] | None = placed and {*map(str, placed)}
         except (KeyError, ValueError, TypeError, RecursionError) as error:
-            raise RecordingBrokenError(
-                str(path), f"what it tells about itself is damaged: {describe(error)}"
-            ) from error
+            told = f"what it tells about itself is damaged: {describe(error)}"
+            raise RecordingBrokenError(str(path), told) from error
         self.program: str = self.about.get("program", "")
         self.is_virtual: bool = self.about.get("clock") == "virtual"
         self.script: str = self.about.get("script", "")
@@ -412,11 +405,7 @@ class Replay:
         def diverged() -> None:
             loop.call_soon(over if player is None else player.end)
 
-        is_over = False
-
         def over() -> None:
-            nonlocal is_over
-            is_over = True
             comparison.end()
             task.cancel()
 
@@ -440,7 +429,7 @@ class Replay:
             except BaseException as error:
                 # The end of the recorded run, which a signal may have brought; or the
                 # robot of today cannot start.
-                if not (comparison.equal or comparison.divergence or is_over):
+                if not (comparison.equal or comparison.is_over):
                     refused.append(error)
 
         async def main() -> None:

@@ -125,9 +125,8 @@ class RecordedRun:
             told = f"expected what is called, such as sensor.unplug, not {act!r:.80}"
             raise ConfigError("recording", "at", told)
         if self._has_begun:
-            raise RuntimeError(
-                "the recording has begun: say so before the robot starts"
-            )
+            told = "the recording has begun: say so before the robot starts"
+            raise RuntimeError(told)
         self._acts.append((seconds, len(self._acts), act, args))
 
     def begin(self) -> None:
