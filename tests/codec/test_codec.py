@@ -303,8 +303,10 @@ class Stranger:
         (np.array([object()]), "an array of object"),
         (10**10_001, "more than 10000 digits"),
         ([memoryview(b"a")], r"\[0\]: builtins.memoryview"),
+        (tuple.__new__(Cell, (1, 2, 3)), "ValueError while it was read"),
+        (tuple.__new__(Cell, (1,)), "ValueError while it was read"),
     ],
-    ids=range(8),
+    ids=range(10),
 )
 def test_anything_else_is_an_error_of_its_sender(value: Any, told: str) -> None:
     """It names the field, and what to do."""

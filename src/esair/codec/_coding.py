@@ -54,7 +54,7 @@ _SHORT: Final = struct.Struct("<H")
 _put_number = struct.Struct("<cq").pack
 _put_float = struct.Struct("<cd").pack
 _put_size = struct.Struct("<cI").pack
-_FLOAT_ALONE: Final = struct.Struct("<ccd").pack
+_FLOAT_ALONE: Final = struct.Struct("<ccd")
 _NONE_ALONE: Final = VERSION + b"N"
 _LENGTH: Final = [bytes((each,)) for each in range(256)]
 _LONG: Final = 1 << 63
@@ -78,7 +78,7 @@ def encode(value: Any, kinds: Kinds, limit: int = LIMIT, items: int = ITEMS) -> 
         CodecError: It cannot cross: which part of it, and why.
     """
     if type(value) is float:
-        return _FLOAT_ALONE(VERSION, b"f", value)
+        return _FLOAT_ALONE.pack(VERSION, b"f", value)
     if value is None:
         return _NONE_ALONE
     writer = _Writer(kinds, limit, items)
@@ -110,6 +110,8 @@ def decode(data: bytes, kinds: Kinds, limit: int = LIMIT, items: int = ITEMS) ->
         raise CodecError(f"it has {len(data)} bytes, at most {limit} are read")
     if data[:1] != VERSION:
         raise CodecError("it is not in this version's coding")
+    if len(data) == _FLOAT_ALONE.size and data[1] == 0x66:  # f
+        return _FLOAT.unpack_from(data, 2)[0]
     reader = _Reader(data, kinds, limit, items)
     try:
         value = reader.take(DEPTH)
@@ -208,14 +210,17 @@ class _Writer(_Walk):
             self.out += b"d" + _put_size(tag, size) + struct.pack(f"<{size}d", *values)
             return
         depth = self.head(tag, size, depth)
-        put = self.put
-        done = 0
+        put, out = self.put, self.out
         try:
-            for each in values:
-                put(each, depth)
-                done += 1
+            for place, each in enumerate(values):  # noqa: B007 - told if it fails
+                if type(each) is float:  # hot
+                    out += _put_float(b"f", each)
+                elif each is None:
+                    out += b"N"
+                else:
+                    put(each, depth)
         except CodecError as error:
-            raise error.below(f"[{done}]") from None
+            raise error.below(f"[{place}]") from None
 
     def long(self, value: int) -> None:
         data = value.to_bytes(value.bit_length() // 8 + 1, "little", signed=True)
@@ -306,18 +311,18 @@ class _Writer(_Walk):
         if self.kinds.fits is not None:
             self.kinds.check(kind, zip(names, parts, strict=False))
         put, out = self.put, self.out
-        done = 0
         try:
-            for part in parts:
+            for name, part in zip(names, parts, strict=True):  # noqa: B007 - as above
                 if type(part) is float:
                     out += _put_float(b"f", part)
+                elif part is None:
+                    out += b"N"
                 elif part is _MISSING:
                     out += b"-"
                 else:
                     put(part, depth)
-                done += 1
         except CodecError as error:
-            raise error.below(f".{names[done]}") from None
+            raise error.below(f".{name}") from None
         if shape.has_more:
             own = vars(value)
             more = {each: own[each] for each in own if each not in names}
@@ -500,8 +505,9 @@ class _Reader(_Walk):
         name, kind, shape, about = self.of_class(form)
         depth = self.nest(depth, 3 + len(about))
         found: dict[str, Any] = {}
+        data = self.data
         for each in about:
-            if self.data[self.place] == 0x2D:  # -
+            if data[self.place] == 0x2D:  # -
                 self.place += 1
             else:
                 found[each] = self.take(depth)
