@@ -214,6 +214,20 @@ class Drive(esair.Behavior):
             await self.wheels.write(Twist(self.speed, 0.0))
 
 
+class Writes(esair.Behavior):
+    """Writes as often as it is told to, and says when it has."""
+
+    placement = "process"
+    wheels = esair.writes(Twist)
+
+    async def run(self) -> None:
+        while True:
+            _, count = await self.receive_from()
+            for _ in range(count):
+                await self.wheels.write(Twist(0.1, 0.0))
+            self.offer(count)
+
+
 class ThreadDrive(esair.ThreadBehavior):
     placement = "process"
     wheels = esair.writes(Twist)

@@ -37,10 +37,12 @@ from tests.placement.parts import (
     Stopwatch,
     ThreadDrive,
     Twist,
+    Writes,
 )
 
 import esair
 from esair.placement import Seat
+from esair.placement._wire import Wire
 from esair.testing import FakeActuator, FakeSensor
 
 pytestmark = [pytest.mark.real_clock, pytest.mark.xdist_group("placement")]
@@ -106,6 +108,31 @@ async def test_time_goes_on_in_a_plain_method_of_a_driver() -> None:
     async with esair.Robot(resources=[Echo(name="echo")], behaviors=[listen]):
         await until(lambda: len(listen.heard) >= 3)
     assert all(0.01 <= each < 0.2 for each in listen.heard)
+
+
+@pytest.mark.promise("PLC-7")
+async def test_a_call_is_one_message_there_and_one_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each message wakes a process: that is most of what a call costs."""
+    sent: list[bytes] = []
+    send = Wire.send
+
+    def counted(wire: Wire, kind: bytes, *message: Any) -> None:
+        sent.append(kind)
+        send(wire, kind, *message)
+
+    monkeypatch.setattr(Wire, "send", counted)
+    costs = []
+    async with esair.Robot(
+        resources=[fake_wheels()], behaviors=[Writes(name="writes")]
+    ) as robot:
+        for count in (5, 25):
+            begun = len(sent)
+            await robot.behaviors.put(count, sender="user", receiver="writes")
+            await robot.behaviors.get(sender="writes", receiver="user", interval=10.0)
+            costs.append(len(sent) - begun)
+    assert costs[1] - costs[0] == 20
 
 
 @pytest.mark.promise("BEH-5", "PLC-1")

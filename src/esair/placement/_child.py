@@ -22,7 +22,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from types import ModuleType
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, NoReturn
 
 from esair.actions import Behavior, Reaction, adapt_action, in_loop
 from esair.codec import Kinds, declared, inner_of
@@ -201,17 +201,13 @@ class Child(Exchange):
             self.end()
 
     def _receive(self) -> list[Item]:
-        message = self._wire.receive()
-        if message is None:
-            self.end()
-        assert message is not None
-        _, now, items = message
+        _, now, items = self._wire.receive() or self.end()
         self._has_turn = True
         self._heard = time.monotonic()
         self.loop.told(now, self._heard)
         return items
 
-    def end(self) -> None:
+    def end(self) -> NoReturn:
         """The robot wants no more of this process."""
         with contextlib.suppress(BaseException):
             if "coverage" in sys.modules:

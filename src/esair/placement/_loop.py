@@ -85,7 +85,8 @@ class ChildLoop(TurnLoop):
         """Let go on what is ready, else threads, else what is due, else the robot."""
         ready, door = self._ready, self._turn.door  # type: ignore[attr-defined]
         if ready and self.passes >= self._until:
-            self._give_turn()  # who works with pauses is heard in them
+            self.home.idle(self._now)  # who works with pauses is heard in them
+            self._hear()
         while not (ready or self._stopping or door.entries):  # type: ignore[attr-defined]
             door.let_go()
             is_quiet = door.at_work == 0  # once: a thread may end at any moment
@@ -118,11 +119,6 @@ class ChildLoop(TurnLoop):
                 break
         self._hear()
         return events
-
-    def _give_turn(self) -> None:
-        """Let the robot go on, and hear from it, though more is ready."""
-        self.home.idle(self._now)
-        self._hear()
 
     def _hear(self) -> None:
         self.home.hear()

@@ -133,7 +133,7 @@ class Process(Exchange):
         self._idle = True
         self._ticks = 0
         self._wake: OneShot | None = None
-        self._wanted: float | None = None
+        self._wanted = 0.0
         self._pidfd = -1
         self._stall = placement.stall
         self._hangs_at = NEVER
@@ -268,8 +268,8 @@ class Process(Exchange):
         self._work, self._ticks = work, 0
         self.is_still = False
         self.sent = now = self._time()
-        if self._wanted is not None and self._wanted - now < 1e-6:
-            now = max(now, self._wanted)  # a timer may ring a hair early
+        if 0.0 < self._wanted - now < 1e-6:
+            now = self._wanted  # a timer may ring a hair early
         if self._hangs_at == NEVER:
             self._hangs_at = self.sent + (self._stall if self.pid else START)
             if self._hang.when == NEVER:
@@ -309,20 +309,19 @@ class Process(Exchange):
                 self._arrived(*message)
 
     def _arrived(self, kind: bytes, wake: float, items: list[Item]) -> None:
-        if kind == Op.TICK and not items:
-            self._ticks += 1
-            if self._ticks <= 2:
-                self._door.post(0, self._tag, self._ticked)
-                return
-        elif kind in _ENDS and self._work and wake > -NEVER:
-            args = self._work, kind, wake, items
+        work = self._work
+        if work and kind in _ENDS and wake > -NEVER:
             self._work = 0
             if self._wire.size <= LARGE:
-                self._open(*args)
+                self._open(work, kind, wake, items)
             else:  # the loop goes on meanwhile
+                args = work, kind, wake, items
                 threading.Thread(target=self._open, args=args, daemon=True).start()
-            return
-        self.condemn("has spoken out of turn")
+        elif kind == Op.TICK and not items and self._ticks < 2:
+            self._ticks += 1
+            self._door.post(0, self._tag, self._ticked)
+        else:
+            self.condemn("has spoken out of turn")
 
     def _open(self, work: int, kind: bytes, wake: float, items: list[Item]) -> None:
         opened = []

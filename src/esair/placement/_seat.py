@@ -302,7 +302,7 @@ class Seat:
     def _serve(self, item: Item, given: Any) -> None:
         process = self.process
         assert process is not None
-        number, verb, scope = item.number, item.verb, item.scope
+        _, number, verb, _, scope, worked, _ = item
         options, *args = given or (None,)
         verb, _, port = verb.partition(" ")
         verbs, scopes, tasks = self._verbs, process.scopes, process.tasks
@@ -314,7 +314,7 @@ class Seat:
         elif verb == "next_order":  # what it asks for next it does for that
             context = scopes[args[0]]
         if (
-            not item.worked >= 0.0
+            not worked >= 0.0
             or (options is not None and type(options) is not dict)
             or (plain is None and waits is None)
             or number in tasks
@@ -322,7 +322,7 @@ class Seat:
         ):
             process.condemn("has asked for what it cannot have")
         elif plain is None:
-            asked = Asked(number, process.sent + item.worked, port)
+            asked = Asked(number, process.sent + worked, port)
             process.begin(number, context, waits, (asked, *args), options or {})
         else:
             try:

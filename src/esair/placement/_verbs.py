@@ -188,6 +188,7 @@ class BehaviorVerbs(PortVerbs):
     def __init__(self, seat: Seat, behavior: Behavior) -> None:
         super().__init__(seat, behavior)
         self._behavior = behavior
+        self._time = clock_of(asyncio.get_running_loop())
         self._streams: dict[int, Any] = {}
         self._loops: dict[int, tuple[Any, int]] = {}
         self._number = 0
@@ -243,7 +244,7 @@ class BehaviorVerbs(PortVerbs):
         port = self._find(asked.port, name, AWAITED)
         if name == "write":
             limit = self._seat.command_timeout(port.resource)
-            now = clock_of(asyncio.get_running_loop())()
+            now = self._time()
             age = now - asked.made
             if limit is not None and age > limit:
                 rule = f"the command is {age:.3g} s old: command_timeout is {limit:g} s"

@@ -77,8 +77,10 @@ ASKED: Final = {"newest", "settings", "state", "max_age"}
 _FILE: Final = b"\0"
 _HEAD: Final = struct.Struct("<cd")
 _ITEM: Final = struct.Struct("<cqqddHI")
+_open, _OPENED = _ITEM.unpack_from, _ITEM.size  # hot
 _FILES: Final = socket.CMSG_SPACE(4 * 4)
 _CUT: Final = int(socket.MSG_TRUNC)  # hot
+_CLOSES: Final = int(socket.MSG_CMSG_CLOEXEC)  # hot
 _new = tuple.__new__  # hot
 
 End = Callable[[Any, BaseException | None], object]
@@ -155,9 +157,7 @@ class Wire:
             BlockingIOError: There is none, and the socket does not wait.
             CodecError: It is no message.
         """
-        data, beside, flags, _ = self._end.recvmsg(
-            PACKET, _FILES, socket.MSG_CMSG_CLOEXEC
-        )
+        data, beside, flags, _ = self._end.recvmsg(PACKET, _FILES, _CLOSES)
         if beside:
             data = _contents(data, beside)
         if not data:
@@ -170,10 +170,8 @@ class Wire:
             place, end = _HEAD.size, len(data)
             self.size = end
             while place < end and len(items) <= ITEMS:
-                op, number, scope, worked, ended, name, size = _ITEM.unpack_from(
-                    data, place
-                )
-                begin = place + _ITEM.size
+                op, number, scope, worked, ended, name, size = _open(data, place)
+                begin = place + _OPENED
                 value = begin + name
                 place = value + size
                 verb, coded = data[begin:value].decode(), data[value:place]
@@ -279,7 +277,7 @@ class Exchange:
         if error is None:
             try:
                 data = b"" if value is None else self.pack("answer", value)
-                self.tell(Item(Op.DONE, number, "", data, ended=ended))
+                self.tell(_new(Item, (Op.DONE, number, "", data, 0, 0.0, ended)))
                 return
             except Exception as unfit:
                 error = unfit
@@ -315,6 +313,8 @@ class Exchange:
     def message(self) -> list[Item]:
         """Take of the queue what goes into one message; the rest goes later."""
         taken, self.queue = self.queue, []
+        if len(taken) < 2:
+            return taken
         size = 0
         for count, each in enumerate(taken):
             size += len(each.data)
