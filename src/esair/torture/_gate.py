@@ -8,12 +8,19 @@ import functools
 import inspect
 import random
 import types
-from collections.abc import AsyncIterator, Callable, Coroutine, Generator, Iterator
+from collections.abc import (
+    AsyncIterator,
+    Callable,
+    Coroutine,
+    Generator,
+    Iterator,
+    Sequence,
+)
 from typing import TYPE_CHECKING, Any
 
 import attrs
 
-from esair.actions import Reaction
+from esair.actions import Guards, Reaction
 from esair.loop import portal
 from esair.resources import HOLD, Resource, Sensor
 from esair.testing import VirtualLoop
@@ -46,6 +53,12 @@ driver has this."""
 MOODS = (0.0, 0.1, 1.0, 1.0, 2.0)
 """How late the calls of a late device are, times what was said: not equally."""
 
+AT_ONCE = 20
+"""How many calls a device takes in one moment: then one takes `TAKES` seconds, so that
+a loop which only waits for its device goes on in time."""
+
+TAKES = 0.04
+
 SOON = 0.1  # How often the stand-in of a sensor that pushes does so, in seconds
 
 
@@ -54,7 +67,11 @@ class Told:
     command: Any
     safe: bool  # Whether it is the safe one, or to stay
     begun: float  # When the driver was called, in seconds of the loop's clock
+    number: int  # How many it was told before
     landed: float | None = None  # When the device had it; None if it never did
+    mover: str = ""  # Whose motion it is
+    priority: int = 0  # With which priority
+    watched: Sequence[Any] = ()  # The actions that the robot had then
 
 
 class UnprintableError(Exception):
@@ -106,6 +123,8 @@ class Gate:
         self.resource = resource
         self.name: str = resource.name
         self.told: list[Told] = []
+        self.safe_begun: float = -1.0  # When it was told its newest safe command
+        self.safe_landed: int = -1  # The number of the newest one that it had
         self.heard: float = -1e9  # When the robot got a good value from it last
         # When it was taken away from the robot; None while it belongs to it
         self.left: float | None = None
@@ -120,6 +139,7 @@ class Gate:
         self._dice = random.Random(f"{seed}/{resource.name}")
         self._moods = random.Random(seed)
         self._judge = judge
+        self._called, self._at_once = -1.0, 0  # when last, and how often in that moment
         self._last: Any = None
         self._good: Any = self
         self._install(alone)
@@ -221,8 +241,9 @@ class Gate:
         if name != "write":
             return None
         safe = args[0] is HOLD or same(args[0], getattr(self.resource, "safe", None))
-        told = Told(args[0], safe, self._loop.time())
+        told = Told(args[0], safe, self._loop.time(), len(self.told))
         self.told.append(told)
+        self.safe_begun = told.begun if safe else self.safe_begun
         self._judge.begins(self, told)
         return told
 
@@ -241,10 +262,13 @@ class Gate:
     def _pause(self) -> float:
         """How long a call waits before the device has it, in seconds."""
         silent = self.faults["silent"][0] if "silent" in self.faults else 0.0
-        late = self.late("before")
+        late, now = self.late("before"), self._loop.time()
+        self._at_once = self._at_once + 1 if now == self._called else 1
+        self._called = now
         return max(
             late * self._moods.choice(MOODS) if late else 0.0,
-            silent - self._loop.time(),
+            silent - now,
+            TAKES if self._at_once > AT_ONCE else 0.0,
         )
 
     def late(self, how: str) -> float:
@@ -351,6 +375,10 @@ class Lever:
         # Deaf: it does not hear its cancellation meanwhile, as no thread does
         self.deaf = self.was_deaf = False
         self.undecided = False  # Whether the last step of a reaction gave nothing good
+        # Whether this guard has refused a command, and latches, until it is reset
+        self.latched = False
+        needs = action.needs.values()
+        self._latches = any(isinstance(n, Guards) and n.latch for n in needs)
         self.how = "nan"
         self._loop = loop
         self._error: str | None = None
@@ -395,6 +423,7 @@ class Lever:
             if now < self.mad and command is not None and has_number(command):
                 command = wrong(command, self.how)
             self.undecided = not is_good(command)
+            self.latched |= self._latches and command is None
             return command
 
         return step

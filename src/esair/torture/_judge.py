@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import collections
+import contextlib
 import itertools
 import math
 import queue
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
+from unittest import mock
 
 import attrs
 
 from esair.actions import Guards, Reaction, Reads, Writes
+from esair.connections import ActuatorChannel, SensorPort
 from esair.exceptions import BehaviorFailedError, EsairError, describe
 from esair.messages import BehaviorState, ResourceState
 from esair.torture._gate import Gate, Told
@@ -146,12 +149,54 @@ class Judge:
         self._world = world
         self._causes: dict[str, tuple[float, float, str]] = {}
         self._moving: dict[str, Told] = {}
+        # Who held an actuator until when, as somebody was about to write there
+        self._held: dict[str, tuple[Any, float]] = {}
 
     def say(self, rule: str, component: str, text: str) -> None:
         """Take note of a violation; the first of each rule and component counts."""
         new = Violation(rule, component, text, self._world.now)
         if all(each.key != new.key for each in self.found):
             self.found.append(new)
+
+    @contextlib.contextmanager
+    def looking(self) -> Iterator[None]:
+        """Look at what is read, and at who holds an actuator before each write."""
+        begin = ActuatorChannel.begin
+
+        def giving(ask: Callable[..., Any]) -> Callable[..., Any]:
+            async def given(port: Any, **options: Any) -> Any:
+                value = await ask(port, **options)
+                self._gives(port, options.get("max_age"))
+                return value
+
+            return given
+
+        def begins(channel: ActuatorChannel, *args: Any, **options: Any) -> Any:
+            self._held[channel.name] = channel.hold.holder, channel.hold.until
+            return begin(channel, *args, **options)
+
+        ways = giving(SensorPort.read), giving(SensorPort.reading)
+        with (
+            mock.patch.multiple(SensorPort, read=ways[0], reading=ways[1]),
+            mock.patch.object(ActuatorChannel, "begin", begins),
+        ):
+            yield
+
+    def _gives(self, port: SensorPort[Any], max_age: float | None) -> None:
+        """Look how old the value is at least that a behavior was given."""
+        limit = port.max_age if max_age is None else max_age
+        age = self._silent_for(port.resource)
+        if age > limit + SLACK:
+            told = f"it was given a value of {port.resource}, which was silent for "
+            told += f"{age:.3f} s, its limit is {limit:g} s"
+            self.say("stale", port.registration.behavior, told)
+
+    def _silent_for(self, sensor: str) -> float:
+        """Return how long ago the robot was told a good value; 0 if nobody knows."""
+        world = self._world
+        times = (e.heard for e in world.gates if e.name == sensor and e.was_here)
+        heard = max(times, default=world.now)
+        return world.now - heard - world.jumped(heard)
 
     # Where an actuator is told something.
 
@@ -165,6 +210,7 @@ class Judge:
             self._moving[gate.name] = told
             self._undoes(gate, told)
             return
+        gate.safe_landed = max(gate.safe_landed, told.number)
         if self._moving.pop(gate.name, None) is not None:
             now = self._world.now
             cause = self._causes.pop(gate.name, None)
@@ -186,7 +232,7 @@ class Judge:
                 "removed", name, f"{what} {now - gate.left:.3f} s after its removal"
             )
             return
-        if world.halted:
+        if world.halted is not None:
             self.say("halted", name, f"{what} while the robot was halted")
         if not is_good(command):
             self.say("value", name, f"{what}: not all of it is finite")
@@ -204,45 +250,59 @@ class Judge:
         if holder is None or holder.reason is not None:
             self.say("unregistered", name, f"{what}, and nobody holds it by right")
             return
-        self._sees(gate, what, holder.behavior, holder.priority)
+        told.mover, told.priority = holder.behavior, holder.priority
+        told.watched = world.actions()
+        before, until = self._held.get(name, (None, 0.0))
+        if (
+            before not in {None, holder}
+            and before.behavior != holder.behavior
+            and before.priority >= holder.priority
+            and now < until - SLACK
+        ):
+            text = f"{what} by {holder.behavior} while {before.behavior} held it"
+            self.say("priority", name, text)
+        self._sees(gate, what, told)
 
     # Who moves blind.
 
-    def _sees(self, gate: Gate, what: str, mover: str, priority: int) -> None:
-        """Look whether those who have to see for this actuator do."""
+    def _sees(self, gate: Gate, what: str, told: Told, *, stood: bool = False) -> None:
+        """Look whether those who have to see for this actuator do, or did as it stood."""
+        mover, priority = told.mover, told.priority
         for action in self._world.actions():
+            if action not in told.watched:
+                continue  # it has come since
             for need in action.needs.values():
                 if need.resource != gate.name:
                     continue
                 if isinstance(need, Guards):
                     if _guards_strictly(action):
-                        self._check_sight(gate, action, what)
+                        self._check_sight(gate, action, what, stood)
                 elif isinstance(need, Writes) and isinstance(action, Reaction):
                     if need.blind != "release":
                         if priority <= min(need.priority, 999):
-                            self._check_sight(gate, action, what)
+                            self._check_sight(gate, action, what, stood)
                     elif (
                         gate.name not in self._world.protected
                         and action.name != mover
                         and priority < need.priority
                     ):
-                        self._check_sight(gate, action, f"{what} by {mover}")
+                        self._check_sight(gate, action, f"{what} by {mover}", stood)
 
-    def _check_sight(self, gate: Gate, action: Any, what: str) -> None:
+    def _check_sight(self, gate: Gate, action: Any, what: str, stood: bool) -> None:
         world = self._world
         muted = world.muted.get(action.name, -1.0)
-        if world.now - world.jumped(muted) < muted:
+        if world.now - world.jumped(muted) < muted + 2 * SLACK * stood:
             return
         state = world.robot.behaviors.query(action.name).state
-        if state not in _SEES_NOTHING and (why := self._why_blind(action)):
+        if state not in _SEES_NOTHING and (why := self._why_blind(action, stood)):
             self.say("blind", gate.name, f"{what} while {action.name} {why}")
 
-    def _why_blind(self, action: Any) -> str:
-        """Say why somebody cannot decide; empty if it can."""
+    def _why_blind(self, action: Any, stood: bool) -> str:
+        """Say why nothing passes somebody, or did before now; empty if it can decide."""
         world = self._world
         lever = world.levers.get(id(action))
-        if lever is not None and lever.undecided:
-            return "had not decided anew"
+        if lever is not None and not stood and (lever.undecided or lever.latched):
+            return "was latched" if lever.latched else "had not decided anew"
         for need in action.needs.values():
             if not isinstance(need, Reads) or need.optional:
                 continue
@@ -251,12 +311,14 @@ class Judge:
             if need.provider != need.resource and channel is not None:
                 continue  # what an actuator has applied last is true until the next
             if channel is None or sensor is None:
-                return f"had no {need.resource}: it was removed"
+                return "" if stood else f"had no {need.resource}: it was removed"
             if channel.sensor.is_computed:
                 continue  # its age is that of what it is computed of
             limit = channel.max_age if need.max_age is None else need.max_age
-            slack = SLACK + (1.0 / action.rate if action.rate else 0.0)
+            slack = SLACK * (1 + stood) + (1.0 / action.rate if action.rate else 0.0)
             age = world.now - sensor.heard - world.jumped(sensor.heard)
+            if stood:  # it may have been replaced since
+                age = self._silent_for(need.resource)
             if math.isfinite(limit) and age > limit + slack:
                 return (
                     f"could not see: {need.resource} was silent for {age:.3f} s, its "
@@ -273,25 +335,31 @@ class Judge:
             return
         timeout = gate.resource.command_timeout  # type: ignore[attr-defined]
         stood = told.begun - last.landed - self._world.jumped(last.landed)
-        if stood <= timeout + 2 * SLACK or gate.faulty >= last.begun:
-            return
         world = self._world
         channel = world.robot.actuators.channels.get(gate.name)
-        if channel is not None and channel.state is ResourceState.READY:
-            self.say("dead man", gate.name, f"{last.command!r:.60} stood for "
-                     f"{stood:.3f} s, its command_timeout is {timeout:g} s")  # fmt: skip
+        is_ready = channel is not None and channel.state is ResourceState.READY
+        if not is_ready or gate.faulty >= last.begun:
+            return
+        what = f"{last.command!r:.60} stood"
+        if stood > timeout + 2 * SLACK:
+            self.say("dead man", gate.name, f"{what} for {stood:.3f} s, its "
+                     f"command_timeout is {timeout:g} s")  # fmt: skip
+        if world.halted is not None:
+            since = max(world.halted, last.landed)
+            if told.begun - since - world.jumped(since) > 2 * SLACK:
+                self.say("halted", gate.name, f"{what} while the robot was halted")
+        if last.mover and stood > 2 * SLACK:
+            self._sees(gate, what, last, stood=True)
 
     def _undoes(self, gate: Gate, told: Told) -> None:
         """See to it that safe is sent again after a motion that has come too late."""
         world = self._world
-        place = gate.told.index(told)
-        later = gate.told[place + 1 :]
         channel = world.robot.actuators.channels.get(gate.name)
         if (
             channel is not None
             and channel.actuator is gate.resource
             and channel.state is ResourceState.READY
-            and any(each.safe and each.landed is not None for each in later)
+            and gate.safe_landed > told.number
         ):
             calls, opening = channel.calls, channel.calls.opening
             landed = told.landed or 0.0
@@ -302,12 +370,11 @@ class Judge:
                 if left > 1e-9:  # time has passed at once: nobody could send it
                     world.loop.call_later(left, look)
                     return
-                again = gate.told[place + 1 :]
                 if (
                     world.ends is None
                     and channel.calls is calls  # else another device has its place
                     and calls.opening == opening
-                    and all(e.begun < landed for e in again if e.safe)
+                    and gate.safe_begun < landed
                 ):
                     text = f"{told.command!r:.60} landed after the safe command that "
                     text += "it was begun before, and safe was not sent again"

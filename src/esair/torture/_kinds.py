@@ -455,15 +455,15 @@ def switch(world: World, step: Step) -> None:
 @_kind("user", "robot", lasts=SHORT, weight=2.0)
 def halt(world: World, _step: Step) -> Callable[[], object]:
     """The robot is halted, and resumed later."""
-    if world.halted:
+    if world.halted is not None:
         raise NotNowError
     halting = world.robot.halt("torture")
-    world.halted = True
+    world.halted = world.now
     if world.is_up:
         world.order("halt", world.robot.name, asyncio.wait_for(halting, None))
 
     def resume() -> None:
-        world.halted = False
+        world.halted = None
         world.robot.resume()
 
     return resume

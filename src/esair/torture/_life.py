@@ -177,12 +177,14 @@ def judge_life(world: World) -> None:
             world.judge.say("works", doer, text[:300])
 
 
-def look_after(robot: esair.Robot) -> None:
+def look_after(world: World) -> None:
     """Do what a user does when a fault is over: end the latches of guards."""
-    for name in robot.behaviors.names():
-        needs = robot.behaviors.action(name).needs.values()
+    for action in world.actions():
+        needs = action.needs.values()
         if any(isinstance(need, Guards) and need.latch for need in needs):
-            robot.behaviors.reset(name)
+            world.robot.behaviors.reset(action.name)
+            if lever := world.levers.get(id(action)):
+                lever.latched = False
 
 
 def _left_undone(

@@ -80,7 +80,7 @@ class World:
         robot: The robot.
         gates: What lies before each device, those that were removed too.
         levers: What each action obeys, by the identity of the action.
-        halted: Whether nothing may move, by the user's will.
+        halted: Since when nothing may move, by the user's will; None if it may.
         ends: When its end has begun, in seconds; None before.
         muted: Until when a protection lets everything pass, by name.
         protected: The actuators that somebody guards, or keeps safe while blind, at
@@ -96,7 +96,7 @@ class World:
         self.judge: Judge = Judge(self)
         self.gates: list[Gate] = []
         self.levers: dict[int, Lever] = {}
-        self.halted = False
+        self.halted: float | None = None
         self.is_up: bool = False
         self.ends: float | None = None
         self.muted: dict[str, float] = {}
@@ -196,7 +196,7 @@ class World:
         leaks, is_over = Leaks(loop), False
         patience = Patience(loop)
         try:
-            with patience, virtual_sleep(loop):
+            with patience, virtual_sleep(loop), self.judge.looking():
                 if self._tell():
                     self._left_behind(problems)
                 loop.run_until_complete(loop.shutdown_asyncgens())
@@ -318,7 +318,7 @@ class World:
     def _look_after(self) -> None:
         if self.ends is None and self.is_up:
             with contextlib.suppress(esair.EsairError):
-                look_after(self.robot)
+                look_after(self)
 
     def _take(self, step: Step) -> None:
         if self.ends is not None:
