@@ -409,7 +409,61 @@ async def test_a_step_that_has_ended_has_no_say_any_more() -> None:
         assert sights() == before
 
 
-# Why it is parked.
+# Requests.
+
+
+class Docking(esair.Behavior):
+    orders = esair.takes(Dock)
+
+    async def run(self) -> None:
+        async for request in self.orders:
+            async with request as mine:
+                mine.answer(mine.bay)
+
+
+class PlainDocking(esair.ThreadBehavior):
+    orders = esair.takes(Dock)
+
+    def run(self) -> None:
+        for request in self.orders:
+            with request as mine:
+                mine.answer(mine.bay)
+
+
+@pytest.mark.promise("BS-8")
+@pytest.mark.parametrize("kind", [Docking, PlainDocking])
+async def test_the_block_of_a_request_is_entered_with_it(kind: Any) -> None:
+    """So it may have another name there."""
+    user = Idle(name="user")
+    async with esair.Robot(behaviors=[user, kind(name="docking")]):
+        assert await user.ask("docking", Dock(3)) == 3
+
+
+# Why it is parked, and what that keeps.
+
+
+@pytest.mark.promise("REA-2", "PRO-1")
+async def test_one_that_fails_at_its_first_decision_has_seen_nothing() -> None:
+    """What it keeps safe while it is blind it keeps on."""
+
+    class Wrong(esair.Reaction):
+        sonar = esair.reads(float)
+        wheels = esair.writes(float, priority=5)
+        left = esair.writes(float, priority=5)
+
+        def react(self, sonar: float) -> dict[str, float]:
+            return {"wheels": 1.0, "right": 1.0}
+
+    wheels, left = FakeActuator("wheels", safe=0.0), FakeActuator("left", safe=0.0)
+    low: Any = Idle(name="low", writes={"wheels": esair.writes(float)})
+    async with esair.Robot(
+        resources=[FakeSensor("sonar", 1.0), wheels, left], behaviors=[Wrong(), low]
+    ) as robot:
+        for _ in range(5):
+            assert not await low.wheels.write(1.0)
+            await asyncio.sleep(0.01)
+        assert robot.resources.why("wheels").holder == "wrong"
+        assert wheels.commands == [0.0]
 
 
 @pytest.mark.promise("REA-3")
