@@ -73,6 +73,24 @@ def test_what_came_too_fast_is_told_once() -> None:
     assert shown == ["first", told, *lines[:1000]]
 
 
+@pytest.mark.real_clock
+def test_what_is_called_beside_comes_after_what_waits() -> None:
+    """So a robot knows when its last line is shown; what raises ends nothing."""
+    shown, then = list[str](), list[list[str]]()
+
+    def broken() -> None:
+        raise ValueError("no")
+
+    beside = Beside(lambda record: shown.append(record.getMessage()))
+    beside.hand(logging.makeLogRecord({"msg": "first"}))
+    beside.call(broken)
+    beside.call(lambda: then.append(list(shown)))
+    beside.hand(logging.makeLogRecord({"msg": "second"}))
+    beside.close(5.0)
+    assert then == [["first"]]
+    assert shown == ["first", "second"]
+
+
 def test_a_line_that_cannot_be_shown_is_told_as_such() -> None:
     """By its logger, and what was wrong; all others have their own text."""
     fine = logging.makeLogRecord({"msg": "%s is lost", "args": ("sonar",)})
@@ -81,9 +99,11 @@ def test_a_line_that_cannot_be_shown_is_told_as_such() -> None:
     assert text_of(wrong).startswith("a line of 'mine' cannot be shown: TypeError")
 
 
-@pytest.mark.virtual_clock
+@pytest.mark.parametrize(
+    "clock", [pytest.param(each, marks=getattr(pytest.mark, each)) for each in CLOCKS]
+)
 async def test_lines_for_who_looks_for_a_mistake_are_no_events(
-    caplog: pytest.LogCaptureFixture,
+    clock: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     """What is logged with the level INFO, or above, is."""
     caplog.set_level(logging.DEBUG, "esair")
