@@ -158,3 +158,61 @@ async def test_a_log_that_raises_ends_nobody(
         await asyncio.sleep(0.05)
         assert robot.resources.query("sonar").state is esair.ResourceState.LOST
     assert f"ZeroDivisionError: of a {fails}" in capsys.readouterr().err
+
+
+class Noting(logging.Handler):
+    """Notes each line and the thread that shows it; at some lines it logs itself."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.shown: list[tuple[str, str]] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        text = record.getMessage()
+        self.shown.append((text, threading.current_thread().name))
+        if text == "asks":
+            logging.getLogger("esair.mine").warning("answers")
+
+
+@pytest.fixture
+def noting() -> Any:
+    log, handler = logging.getLogger("esair.mine"), Noting()
+    log.addHandler(handler)
+    yield handler
+    log.removeHandler(handler)
+
+
+@pytest.mark.real_clock
+async def test_lines_are_shown_beside_the_robots_as_long_as_one_runs(
+    noting: Noting,
+) -> None:
+    """By a thread of their own, one for all; before and after by whoever writes them."""
+    log, here = logging.getLogger("esair"), threading.current_thread().name
+    log.addHandler(noting)
+    try:
+        async with esair.Robot():
+            async with esair.Robot(name="other"):
+                log.warning("both")
+            log.warning("one")
+        log.warning("none")
+    finally:
+        log.removeHandler(noting)
+    assert [each for each in noting.shown if each[0] in {"both", "one", "none"}] == [
+        ("both", "esair-log"),
+        ("one", "esair-log"),
+        ("none", here),
+    ]
+
+
+@pytest.mark.real_clock
+async def test_a_handler_may_log_itself(noting: Noting) -> None:
+    """What it says is shown, too."""
+    log = logging.getLogger("esair")
+    log.addHandler(noting)
+    try:
+        async with esair.Robot():
+            log.warning("asks")
+    finally:
+        log.removeHandler(noting)
+    texts = [text for text, _ in noting.shown]
+    assert "answers" in texts
