@@ -171,12 +171,12 @@ class Noting(logging.Handler):
         text = record.getMessage()
         self.shown.append((text, threading.current_thread().name))
         if text == "asks":
-            logging.getLogger("esair.mine").warning("answers")
+            logging.getLogger("esair").warning("answers")
 
 
 @pytest.fixture
 def noting() -> Any:
-    log, handler = logging.getLogger("esair.mine"), Noting()
+    log, handler = logging.getLogger("esair"), Noting()
     log.addHandler(handler)
     yield handler
     log.removeHandler(handler)
@@ -188,15 +188,11 @@ async def test_lines_are_shown_beside_the_robots_as_long_as_one_runs(
 ) -> None:
     """By a thread of their own, one for all; before and after by whoever writes them."""
     log, here = logging.getLogger("esair"), threading.current_thread().name
-    log.addHandler(noting)
-    try:
-        async with esair.Robot():
-            async with esair.Robot(name="other"):
-                log.warning("both")
-            log.warning("one")
-        log.warning("none")
-    finally:
-        log.removeHandler(noting)
+    async with esair.Robot():
+        async with esair.Robot(name="other"):
+            log.warning("both")
+        log.warning("one")
+    log.warning("none")
     assert [each for each in noting.shown if each[0] in {"both", "one", "none"}] == [
         ("both", "esair-log"),
         ("one", "esair-log"),
@@ -207,12 +203,6 @@ async def test_lines_are_shown_beside_the_robots_as_long_as_one_runs(
 @pytest.mark.real_clock
 async def test_a_handler_may_log_itself(noting: Noting) -> None:
     """What it says is shown, too."""
-    log = logging.getLogger("esair")
-    log.addHandler(noting)
-    try:
-        async with esair.Robot():
-            log.warning("asks")
-    finally:
-        log.removeHandler(noting)
-    texts = [text for text, _ in noting.shown]
-    assert "answers" in texts
+    async with esair.Robot():
+        logging.getLogger("esair").warning("asks")
+    assert "answers" in [text for text, _ in noting.shown]
