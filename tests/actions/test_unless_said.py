@@ -15,6 +15,7 @@ import pytest
 import esair
 from esair.actions import Guards, Reads, Takes, Writes
 from esair.connections import Sight
+from esair.journal import Kind
 from esair.testing import FakeActuator, FakeSensor, VirtualLoop
 
 pytestmark = pytest.mark.virtual_clock
@@ -482,7 +483,9 @@ async def test_who_is_parked_says_why_in_short(what: str, detail: str) -> None:
     sonar = FakeSensor[float]("sonar")
     wheels = FakeActuator("wheels", safe=0.0)
     copy = Copy(reads={"sonar": esair.reads(float, max_age=0.5)})
+    told: list[str] = []
     async with esair.Robot(resources=[sonar, wheels], behaviors=[copy]) as robot:
+        robot.journal.listen(lambda e: told.append(e.text), kinds=[Kind.PARKED])
         if what != "nothing yet":
             sonar.feed(1.0)
             await wheels.until(1.0)
@@ -496,6 +499,8 @@ async def test_who_is_parked_says_why_in_short(what: str, detail: str) -> None:
         status = robot.behaviors.query("copy")
         assert status.state is esair.BehaviorState.PARKED
         assert status.detail == detail
+        assert all(each.startswith("sonar ") for each in told)
+        assert ("sonar removed" in told) == (what == "removed")
 
 
 # Random numbers.
