@@ -554,6 +554,10 @@ async def test_gaps_are_used_until_the_last_robot_of_the_loop_stops(
     await asyncio.sleep(0.2)
     assert steps.collected == []
     steps.job.stop()
+    started.collect()
+    steps.collected.clear()
+    python.come(140_000, "kept")  # more than a pause can look at, while it stops
+    assert steps.collected == []
 
 
 async def test_on_the_virtual_clock_there_are_no_gaps(

@@ -61,6 +61,20 @@ async def test_who_answers_is_told_whether_somebody_waits() -> None:
         assert robot.journal.counts()["behaviors"]["late_answers"] == 3
 
 
+@pytest.mark.promise("BS-10")
+async def test_who_answers_in_a_thread_of_its_own_hears_whether_it_counts() -> None:
+    """As in the loop: true while somebody waits."""
+    asker, worker = Idle(name="asker"), Worker()
+    async with esair.Robot(behaviors=[asker, worker]):
+        asking = asyncio.create_task(asker.ask("worker", Job(1)))
+        await turns()
+        (job,) = worker.has
+        assert await asyncio.to_thread(job.progress, 0.5) is True
+        assert await asyncio.to_thread(job.answer, 7) is True
+        assert await asyncio.to_thread(job.answer, 8) is False
+        assert await asking == 7
+
+
 @pytest.mark.promise("BS-5", "BS-8")
 @pytest.mark.parametrize(("verb", "seconds"), [("put", 1.0), ("get", 1.0), ("ask", 10)])
 async def test_who_says_no_time_waits_for_so_many_seconds(
