@@ -274,6 +274,21 @@ def test_a_small_program_is_not_let_grow_to_a_large_one(
     assert len(python.looked_at) >= 5
 
 
+def test_a_program_is_as_large_as_it_is_when_its_robot_is_up(
+    python: Interpreter,
+) -> None:
+    """What has come at its start is no growth, and nothing to be looked at again."""
+    python.blocks = 100_000
+    collector = Collector()
+    collector.start()
+    python.blocks = 1_000_000
+    collector.is_up()
+    python.looked_at.clear()
+    assert collector.fits(0.01)
+    python.come(80_000)
+    assert not python.looked_at
+
+
 def test_the_interpreter_gets_its_settings_back(python: Interpreter) -> None:
     """From the last robot; one more of them changes nothing."""
     python.set_threshold(700, 10, 3)
