@@ -243,6 +243,33 @@ async def test_one_that_meets_a_safe_command_has_its_time_after_that(
         assert motor.commands == [0.0, 1.0, 0.0, 2.0]
 
 
+async def test_one_that_meets_a_safe_command_that_hangs_waits_no_longer(
+    user_of: Any,
+) -> None:
+    """It has its time once more, as long as that may take, and then no other."""
+
+    class Hangs(Motor):
+        async def write(self, command: float) -> None:
+            await super().write(command)
+            if command == 0.0 and len(self.commands) > 1:
+                await asyncio.sleep(100.0)
+
+    motor, user = Hangs(), user_of("user", motor=esair.writes(float))
+    motor.deadline = 1.2
+    async with esair.Robot(resources=[motor], behaviors=[user]) as robot:
+        first = asyncio.create_task(user.motor.write(1.0))
+        await soon()
+        began = asyncio.get_running_loop().time()
+        waits = asyncio.create_task(user.motor.write(2.0))
+        await asyncio.sleep(0.8)
+        robot.actuators.channels["motor"].make_safe()
+        with pytest.raises(esair.NoTurnError):
+            await waits
+        waited = asyncio.get_running_loop().time() - began
+        assert waited == pytest.approx(3 * 1.2, abs=0.01)
+        await first
+
+
 async def test_one_that_is_no_good_any_more_when_its_turn_comes_is_told_so(
     user_of: Any,
 ) -> None:
