@@ -215,3 +215,22 @@ async def test_a_light_task_has_the_name_that_it_is_given() -> None:
     light = LightTask(loop, "driver")
     light.then(lambda _value, _error: None)
     assert light.begin(work()) == "polls the bus"
+
+
+async def test_who_ends_itself_is_interrupted_once() -> None:
+    """What it awaits to clean up goes on, as in any task."""
+    ends: list[str] = []
+
+    async def work() -> str:
+        await asyncio.sleep(0.1)
+        asyncio.current_task().cancel()  # type: ignore[union-attr]
+        try:
+            await asyncio.sleep(0)
+        except asyncio.CancelledError:
+            ends.append("cancelled")
+            await asyncio.sleep(0.1)
+            await asyncio.sleep(0)
+        return "clean"
+
+    assert await drive(work) == "clean"
+    assert ends == ["cancelled"]

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import esair
-from esair.loop import Deadlines, Order, Scheduler, TurnLoop
+from esair.loop import Deadlines, Order, Scheduler, TurnLoop, ignore
 from esair.testing import VirtualLoop
 
 pytestmark = pytest.mark.virtual_clock
@@ -344,3 +344,22 @@ def test_what_the_end_of_a_turn_asks_for_comes_in_the_next_one() -> None:
 
     with asyncio.Runner(loop_factory=TurnLoop) as runner:
         assert runner.run(main()) < 1.0
+
+
+async def test_there_is_no_gap_while_a_step_is_asked_for() -> None:
+    """Until it was called; then as long as nothing is due."""
+    loop = asyncio.get_running_loop()
+    scheduler = Scheduler.of(loop)
+    far = scheduler.at(loop.time() + 1.0, ignore)
+    await asyncio.sleep(0.5)
+    assert scheduler.gap() == pytest.approx(0.5)
+    job = scheduler.every(5.0, ignore)
+    await asyncio.sleep(0.1)
+    job.soon()
+    assert scheduler.gap() == 0.0
+    await asyncio.sleep(0.1)
+    assert scheduler.gap() == pytest.approx(0.3)
+    job.stop()
+    scheduler.cancel(far)
+    await asyncio.sleep(0)
+    assert scheduler.gap() > 1e6

@@ -62,6 +62,17 @@ async def test_who_answers_is_told_whether_somebody_waits() -> None:
 
 
 @pytest.mark.promise("BS-10")
+async def test_a_time_that_is_none_is_told_by_what_it_may_be() -> None:
+    """An answer may be waited for without a limit, a hand-over not."""
+    asker, worker = Idle(name="asker"), Worker()
+    async with esair.Robot(behaviors=[asker, worker]):
+        with pytest.raises(esair.BadValueError, match=r"seconds > 0, or None, not -1"):
+            await asker.ask("worker", Job(1), timeout=-1)
+        with pytest.raises(esair.BadValueError, match=r"seconds > 0, not None"):
+            await asker.put("worker", Job(1), interval=None)  # type: ignore[arg-type]
+
+
+@pytest.mark.promise("BS-10")
 async def test_who_answers_in_a_thread_of_its_own_hears_whether_it_counts() -> None:
     """As in the loop: true while somebody waits."""
     asker, worker = Idle(name="asker"), Worker()
