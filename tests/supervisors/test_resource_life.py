@@ -397,6 +397,36 @@ async def test_a_stuck_thread_does_not_delay_the_stop(
     assert any("stuck" in record.getMessage() for record in caplog.records)
 
 
+@pytest.mark.promise("ROB-3")
+@pytest.mark.real_clock
+@pytest.mark.fault("D21", "D22")
+@pytest.mark.longer
+async def test_a_stop_tries_nothing_past_a_thread_that_was_given_up() -> None:
+    """Its device was lost before the stop: no last try waits behind its call."""
+    go = threading.Event()
+
+    class Arm(esair.Actuator[float]):
+        safe = 0.0
+        deadline = 0.05
+
+        def write(self, command: float) -> None:
+            if command:
+                go.wait(10.0)
+
+    user = esair.Behavior(name="user", writes={"arm": esair.writes(float)})
+    async with esair.Robot(resources=[Arm()], behaviors=[user]) as robot:
+        writing = asyncio.create_task(user.arm.write(1.0))  # type: ignore[attr-defined]
+        await asyncio.wait({writing})
+        life = robot._resources.lives["arm"]
+        async with asyncio.timeout(10.0):
+            while life.channel.state is not ResourceState.LOST:  # noqa: ASYNC110
+                await asyncio.sleep(0.005)
+    go.set()
+
+    assert writing.exception() is not None
+    assert life._last_try is None
+
+
 @pytest.mark.promise("RS-4", "RES-2")
 @pytest.mark.fault("R12")
 @pytest.mark.parametrize("takes", [0.05, 0.5, 1000.0])

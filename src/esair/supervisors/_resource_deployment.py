@@ -354,11 +354,9 @@ class ResourceDeployment:
         if channel.state is ResourceState.READY:
             channel.make_safe()
             await channel.safe.settled(until)
-            if channel.driver.uses_threads:
-                return  # if it was given up: nothing gets past its thread
-        life = self.lives.get(name)
-        if channel.state is not ResourceState.READY and life is not None:
-            await life.last_try(until)  # also if it was given up meanwhile
+        life, is_there = self.lives.get(name), channel.state is ResourceState.READY
+        if life is not None and not is_there and not life.device.is_stuck():
+            await life.last_try(until)  # nothing gets past a thread that is stuck
 
     async def _undeploy(
         self, life: ResourceLife, state: ResourceState, until: float

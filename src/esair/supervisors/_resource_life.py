@@ -194,23 +194,24 @@ class Opener:
         except Exception as error:
             _log.debug("%s: close: %s", self.resource.name, describe(error))
 
+    def is_stuck(self) -> bool:
+        """Tell whether nothing gets past its thread."""
+        tag, driver = (self.resource.name, "stuck"), self.driver
+        return driver.uses_threads and ask_outside(tag, lambda: driver.is_stuck)
+
     async def end(self, until: float) -> None:
         """Close the device for good, whatever it is doing, and let its threads go."""
-        driver = self.driver
         if self.is_open:
-            if self.calls.alive:
+            if self.calls.alive and not self.is_stuck():
                 await self.calls.quiet(until - LAST_CLOSE)
             left = until - asyncio.get_running_loop().time()
             if isinstance(self._channel, ActuatorChannel):
                 await self._channel.safe.at_last(max(LAST_CLOSE, left))
                 left = until - asyncio.get_running_loop().time()
-            if driver.uses_threads:
-                tag = self.resource.name, "stuck"
-                left = 0.0 if ask_outside(tag, lambda: driver.is_stuck) else left
-            await self.close(max(LAST_CLOSE, left))
-        if driver.uses_threads:
+            await self.close(LAST_CLOSE if self.is_stuck() else max(LAST_CLOSE, left))
+        if self.driver.uses_threads:
             name = self.resource.name
-            ending = partial(driver.end_executors, timeout=LAST_CLOSE)
+            ending = partial(self.driver.end_executors, timeout=LAST_CLOSE)
             if not await outside((name, "threads"), ending):
                 _log.warning("%s: a driver call is stuck; its thread is left", name)
 
