@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import functools
 import json
+import os
 import threading
 
 import pytest
 from tests.net.parts import free_port
 
 from esair.buses.peer import Network
+from esair.buses.peer._zenoh import _THREADS
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -24,6 +26,7 @@ def speak_once() -> None:
     """Zenoh keeps its threads for ever, once two sessions have spoken with each other."""
     import zenoh
 
+    os.environ.setdefault("ZENOH_RUNTIME", f"({_THREADS})")  # as a robot does
     end, sessions = f"tcp/127.0.0.1:{free_port()}", []
     for network in (
         Network(me="one", peers=["other"], listen=[end]),

@@ -6,8 +6,11 @@ import asyncio
 import contextlib
 import itertools
 import shutil
+import signal
 import socket
 import statistics
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Container
@@ -320,6 +323,44 @@ async def test_a_peer_that_was_stopped_has_little_to_refuse(
             await asyncio.sleep(seconds)
             relay.goes.set()
             assert await again(hand, 10.0) < 1.0
+
+
+DEAD = """
+import sys, time
+from esair.buses.peer import Network
+from esair.buses.peer._zenoh import _Session
+network = Network(me="rover", peers=["base"], connect=sys.argv[1:])
+ways = [_Session(network, None, connect=sys.argv[1:]) for _ in range(20)]
+print("there", flush=True)
+time.sleep(60.0)
+"""
+"""Twenty ways, as of ten robots that are all behind one access point."""
+
+
+@pytest.mark.long
+@pytest.mark.promise("NET-3")
+async def test_who_is_back_is_heard_while_many_ways_are_closed() -> None:
+    """Each holds a thread of zenoh up for seconds, until what was sent by it is lost."""
+    pair, hand = on_tcp(), Hand()
+    ends = pair.to_base.network.connect  # type: ignore[attr-defined]
+    async with pair.base():
+        dead = await asyncio.create_subprocess_exec(
+            sys.executable, "-c", DEAD, *ends, stdout=subprocess.PIPE
+        )
+        try:
+            assert dead.stdout is not None
+            await dead.stdout.readline()
+            await asyncio.sleep(0.5)
+            dead.send_signal(signal.SIGSTOP)
+            for _ in range(20):  # more than it takes while it stands still
+                pair.to_rover.say("reading", "any", 0.0, "x" * 50_000)
+                await asyncio.sleep(0.05)
+            await asyncio.sleep(10.5)  # zenoh gives up after ten seconds
+            async with pair.rover(hand) as rover:
+                assert await is_ready(rover, "far_wheels", 4.0)
+        finally:
+            dead.kill()
+            await dead.wait()
 
 
 async def test_nothing_is_left_of_ways_that_nobody_answers() -> None:

@@ -65,7 +65,7 @@ _SILENT: Final = 0.2
 
 _THREADS: Final = "".join(
     f"{name}: (worker_threads: {count}), "
-    for name, count in (("rx", 8), ("tx", 2), ("net", 8), ("acc", 4))
+    for name, count in (("rx", 64), ("tx", 2), ("net", 8), ("acc", 4))
 )
 """Threads of zenoh. It closes a socket with a wait for what is sent: after a cut, that holds
 one of them up for seconds, and those that share it."""
