@@ -132,7 +132,11 @@ class _Walk:
                 value = honest(value)
             if self._rows and in_row and isinstance(value, float):
                 return Flaw(path, value, NUMBER) if value != value else None
-            if value - value != 0:
+            try:
+                is_finite = value - value == 0
+            except ArithmeticError:  # so say the infinity of a Decimal, and its sNaN
+                is_finite = False
+            if not is_finite:
                 return Flaw(path, value, _FINITE)
             return Flaw(path, value, kind) if kind not in {"", NUMBER} else None
         if shape == _ATOM:
@@ -175,7 +179,7 @@ class _Walk:
             if self._rows and not hasattr(type(value), "_fields"):
                 return not any(map(math.isnan, value))
             return all(map(math.isfinite, value))
-        except TypeError:
+        except (TypeError, ValueError):
             return False  # they are no numbers: each is looked into
         except OverflowError:  # a whole number that is too large for a computation
             if self._rows:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import decimal
 import fractions
 import functools
 import math
@@ -78,6 +79,17 @@ def test_what_is_inside_is_finite(bad: float) -> None:
         with pytest.raises(esair.BadValueError, match="expected a finite number"):
             follow.check("arm", {"points": points, "pace": pace})
     assert follow.check("arm", {"points": [0.5], "pace": "slow"})
+
+
+@pytest.mark.promise("RS-4")
+@pytest.mark.parametrize("bad", ["Infinity", "-Infinity", "NaN", "sNaN"])
+def test_a_decimal_is_finite_too(bad: str) -> None:
+    """Alone and within: an infinite one raises where others compare."""
+    number = decimal.Decimal(bad)
+    for value in (number, (number, 1.0), {"a": number}):
+        with pytest.raises(esair.BadValueError, match="expected a finite number"):
+            Sonar(label=value)
+    assert Sonar(label=decimal.Decimal("0.1")).label == decimal.Decimal("0.1")
 
 
 @pytest.mark.promise("RS-4")
