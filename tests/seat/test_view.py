@@ -145,6 +145,7 @@ async def test_a_large_value_costs_nobody_anything(viewed):
         '{"op": "unsubscribe", "subscriptionIds": 3}',
         '{"op": "advertise", "channels": [{"id": 1, "topic": "/actuator/wheels"}]}',
         '{"op": "setParameters", "parameters": []}',
+        '{"op": "subscribe", "subscriptions": [{"id": 1e999, "channelId": 1}]}',
     ],
 )
 async def test_nothing_can_be_done_there(viewed, line):

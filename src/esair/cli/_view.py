@@ -169,7 +169,7 @@ class Views:
                     k: number for k, number in wanted if number not in ended
                 }
                 return
-        except (ValueError, KeyError, TypeError, RecursionError):
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
             pass
         if len(viewer.told) < WAITING:
             text = "read only: there is nothing to do here but to subscribe"
