@@ -176,10 +176,8 @@ class Client:
                 if found.get("ended"):
                     raise GoneError(self._gone())
                 yield found
-            if timeout is not None:
-                ready, _, _ = select.select([self._link], [], [], timeout)
-                if not ready:
-                    return
+            if not select.select([self._link], [], [], timeout)[0]:
+                return
             data = b""
             with contextlib.suppress(OSError):
                 data = self._link.recv(1 << 16)

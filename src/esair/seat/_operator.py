@@ -56,25 +56,16 @@ _log = logging.getLogger("esair")
 
 @attrs.define(eq=False)
 class Session:
-    """Whoever gives acts: one client, or one who types.
+    """Whoever gives acts: one client, or one who types."""
 
-    Attributes:
-        who: The user, and how it comes in, in words.
-        hand: Hears beats; None if it cannot drive, and in a replay.
-        drives: Whether it can drive.
-        number: Of all sessions; 0 for who types.
-        given: How many acts it has given that may change something.
-        busy: How many of its acts are under way.
-    """
-
-    who: str
-    hand: Driver | None = None
-    drives: bool = attrs.field(
+    who: str  # The user, and how it comes in, in words
+    hand: Driver | None = None  # Hears beats; None if it cannot drive, and in a replay
+    drives: bool = attrs.field(  # Whether it can drive
         default=attrs.Factory(lambda self: self.hand is not None, takes_self=True)
     )
-    number: int = 0
-    given: int = 0
-    busy: int = 0
+    number: int = 0  # Of all sessions; 0 for who types
+    given: int = 0  # How many acts it has given that may change something
+    busy: int = 0  # How many of its acts are under way
 
     def beat(self, number: int) -> None:
         """Hear a beat."""
@@ -109,11 +100,7 @@ class Waiting(NamedTuple):
 
 
 class Console:
-    """Does the acts of the operator, whichever way they come in.
-
-    Args:
-        robot: What is operated.
-    """
+    """Does the acts of the operator, whichever way they come in."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot

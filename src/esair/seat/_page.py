@@ -48,14 +48,15 @@ class Lobby:
 
     def __init__(self) -> None:
         self.sent_away = 0
-        self._there: dict[tuple[str, int], asyncio.Transport] = {}  # the oldest first
+        # Who has not shown the token, the oldest first.
+        self.there: dict[tuple[str, int], asyncio.Transport] = {}
 
     def enter(self, transport: asyncio.Transport) -> None:
         """Somebody has connected."""
-        there = {k: t for k, t in self._there.items() if not t.is_closing()}
+        there = {k: t for k, t in self.there.items() if not t.is_closing()}
         peer = _peer(transport.get_extra_info("peername"))
         there[peer] = transport
-        self._there = there
+        self.there = there
         of_each = collections.Counter(address for address, _ in there)
         busiest, _ = of_each.most_common(1)[0]
         if of_each[peer[0]] > OF_ONE:
@@ -68,22 +69,18 @@ class Lobby:
 
     def shown(self, client: Any) -> None:
         """One has shown the token: it is a guest, and waits here no more."""
-        self._there.pop(_peer(client), None)
-
-    def waits(self, client: Any) -> bool:
-        """Tell whether one has not shown the token yet."""
-        return _peer(client) in self._there
+        self.there.pop(_peer(client), None)
 
     def dismiss(self, client: Any) -> None:
         """One has shown a wrong token, or none: it has a moment to read why it goes."""
-        transport = self._there.get(_peer(client))
+        transport = self.there.get(_peer(client))
         if transport is not None:
             loop = asyncio.get_running_loop()
             loop.call_later(READ_WITHIN, transport.abort)
 
     def close(self) -> None:
         """Send everybody away."""
-        for transport in self._there.values():
+        for transport in self.there.values():
             transport.abort()
 
 
@@ -95,8 +92,11 @@ def entrance(lobby: Lobby, context: ssl.SSLContext | None) -> type[asyncio.Proto
     """Return what speaks HTTP with each that comes; by TLS if there is a context."""
     from uvicorn.protocols.http.h11_impl import H11Protocol
 
-    class Http(H11Protocol):
-        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+    class Entrance(H11Protocol):
+        _tls: asyncio.Task[None] | None = None
+        _early = b""
+
+        def _begin(self, transport: asyncio.Transport) -> None:
             super().connection_made(transport)
             self.loop.call_later(HEADERS_WITHIN, self._end, transport, True)
             self.loop.call_later(ASKING, self._end, transport, False)
@@ -107,14 +107,10 @@ def entrance(lobby: Lobby, context: ssl.SSLContext | None) -> type[asyncio.Proto
             if transport.get_protocol() is self:  # else it is a web socket by now
                 transport.abort()
 
-    class Entrance(Http):
-        _tls: asyncio.Task[None] | None = None
-        _early = b""
-
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
             lobby.enter(transport)
             if context is None:
-                super().connection_made(transport)
+                self._begin(transport)
             else:
                 transport.pause_reading()
                 self._tls = self.loop.create_task(self._secure(transport, context))
@@ -135,7 +131,7 @@ def entrance(lobby: Lobby, context: ssl.SSLContext | None) -> type[asyncio.Proto
             else:
                 if secured is None:
                     return  # it has gone meanwhile
-                super().connection_made(secured)
+                self._begin(secured)
                 early, self._early = self._early, b""
                 self.data_received(early)
 
@@ -163,10 +159,9 @@ def guest(lobby: Lobby) -> type[asyncio.Protocol]:
         _bytes = 0
 
         def data_received(self, data: bytes) -> None:
-            # Who has shown no token has nothing else to say: ten thousand pings would
-            # hold the loop.
+            # Ten thousand pings of who has shown no token would hold the loop.
             self._bytes += len(data) if self.handshake_initiated else 0
-            if self._bytes > STRANGE and lobby.waits(self.client):
+            if self._bytes > STRANGE and _peer(self.client) in lobby.there:
                 self.transport.abort()
             else:
                 sansio.WebSocketsSansIOProtocol.data_received(self, data)
@@ -245,7 +240,6 @@ _STATIC = Path(__file__).parent / "static"
 
 _log = logging.getLogger("esair")
 
-
 _PACKAGES = (
     "starlette.applications",
     "starlette.responses",
@@ -300,7 +294,6 @@ class PageServer(Way["_Viewer"]):
             ws_max_size=LIMIT,
             ws_ping_interval=2.0,
             ws_ping_timeout=5.0,
-            timeout_keep_alive=5,
             timeout_graceful_shutdown=1,
             h11_max_incomplete_event_size=16 * 1024,
             server_header=False,

@@ -17,7 +17,6 @@ from esair.exceptions import ConfigError
 _PATHS = "/proc/self/fd/{folder}/{name}"
 """A path by the descriptor of its folder: short, and it cannot be led elsewhere."""
 
-
 LOOKED_AT = 0.1  # How long who only looks for robots may have a lock, in seconds
 
 
@@ -83,19 +82,16 @@ class Place:
             f"{self.name}.lock", flags, mode=0o600, dir_fd=self._folder
         )
         end = time.monotonic() + LOOKED_AT
-        try:
-            while True:
-                try:
-                    fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    return
-                except BlockingIOError:
-                    if time.monotonic() > end:
-                        raise
-                time.sleep(0.001)
-        except BlockingIOError:
-            os.close(self._lock)
-            told = "a robot of this name runs already: stop it, or name this one else"
-            raise ConfigError(f"robot {self.name!r}", "name", told) from None
+        while True:
+            with contextlib.suppress(BlockingIOError):
+                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                return
+            if time.monotonic() > end:
+                break
+            time.sleep(0.001)
+        os.close(self._lock)
+        told = "a robot of this name runs already: stop it, or name this one else"
+        raise ConfigError(f"robot {self.name!r}", "name", told)
 
     def bind(self) -> socket.socket:
         """Return the socket, not listening yet; one that a dead robot left goes."""

@@ -18,7 +18,6 @@ from esair.seat._wire import LIMIT, VERSION, failure
 CLIENTS = 16
 """How many clients may be there at a time."""
 
-
 WAITING = 256 * 1024
 """How many bytes may wait for a client that does not read; one more and it goes."""
 
@@ -30,19 +29,13 @@ LINGER = 0.5  # How long a client that is turned away may take to hear why, in s
 LINES = 2000
 """How many lines a client may send in a second; the rest waits in its own pipe."""
 
-
 _CREDENTIALS = struct.Struct("3i")
 
 _log = logging.getLogger("esair")
 
 
 class Socket(Way["_Client"]):
-    """The control socket of a robot, in its own event loop.
-
-    Args:
-        console: Does what clients want.
-        place: Where the socket is.
-    """
+    """The control socket of a robot, in its own event loop."""
 
     def __init__(self, console: Console, place: Place) -> None:
         super().__init__(console, "socket", CLIENTS)
@@ -70,7 +63,9 @@ class Socket(Way["_Client"]):
         if user not in {os.getuid(), 0}:
             self.turned_away += 1
             _log.warning("control socket: user %d was turned away", user)
-            client.send(_not_you(user))
+            told = f"user {user} may not operate this robot: only its own user and root may"
+            error = {"type": "AccessDeniedError", "text": told}
+            client.send({"v": VERSION, "id": None, "ok": False, "error": error})
             return False
         client.session.who = f"user {user}"
         client.process = process
@@ -78,12 +73,6 @@ class Socket(Way["_Client"]):
             return True
         client.send(failure(None, BusyError("control socket", "clients", CLIENTS)))
         return False
-
-
-def _not_you(user: int) -> dict[str, Any]:
-    told = f"user {user} may not operate this robot: only its own user and root may"
-    error = {"type": "AccessDeniedError", "text": told}
-    return {"v": VERSION, "id": None, "ok": False, "error": error}
 
 
 class _Client(Visitor, Piecewise):

@@ -269,11 +269,6 @@ class Entry:
 
     Whoever floods it waits in the kernel, with all other newcomers, and not in the
     robot's loop; who is in already does not notice.
-
-    Args:
-        bound: The socket, bound and not blocking.
-        backlog: How many newcomers the kernel lets wait.
-        make: Makes the protocol of a newcomer.
     """
 
     def __init__(
@@ -327,6 +322,7 @@ class Piecewise(asyncio.BufferedProtocol):
     """Hears a piece in each turn: however much has come, the loop is not held for it."""
 
     piece = PIECE  # How many bytes it has
+    data_received: Callable[[bytes], None]
 
     def get_buffer(self, sizehint: int) -> memoryview:
         self._heard = memoryview(bytearray(self.piece))
@@ -334,10 +330,6 @@ class Piecewise(asyncio.BufferedProtocol):
 
     def buffer_updated(self, nbytes: int) -> None:
         self.data_received(bytes(self._heard[:nbytes]))
-
-    def data_received(self, data: bytes) -> None:
-        """Hear a piece."""
-        raise NotImplementedError
 
 
 class Budget:

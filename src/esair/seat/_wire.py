@@ -6,7 +6,7 @@ import collections
 import json
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 from esair.exceptions import BadValueError, EsairError, describe
 
@@ -40,7 +40,7 @@ def decode(line: bytes) -> dict[str, Any]:
     try:
         found = json.loads(
             text,
-            parse_constant=_no_constant,
+            parse_constant=_finite,
             parse_float=_finite,
             parse_int=_whole,
             object_pairs_hook=_without_doubles,
@@ -116,10 +116,6 @@ def _bad(told: str) -> BadValueError:
     return BadValueError("message", "", told)
 
 
-def _no_constant(name: str) -> NoReturn:
-    raise _bad(f"expected finite numbers, not {name}")
-
-
 def _finite(text: str) -> float:
     number = float(text)
     if not math.isfinite(number):
@@ -150,9 +146,5 @@ def _check(value: Any, depth: int) -> None:
         return
     if depth <= 0:
         raise _bad(f"expected at most {DEPTH} levels")
-    if isinstance(value, dict):
-        for key in value:
-            _check(key, depth - 1)
-        value = list(value.values())
-    for each in value:
+    for each in [*value, *value.values()] if isinstance(value, dict) else value:
         _check(each, depth - 1)
