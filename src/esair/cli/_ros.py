@@ -42,9 +42,7 @@ def ros(
     if not find:
         with connect(robot) as client:
             status = client.do("status")
-        found = next(
-            (each for each in of_status(status) if each["name"] == "ros"), None
-        )
+        found = {each["name"]: each for each in of_status(status)}.get("ros")
         if machine:
             print(json.dumps(found))  # noqa: T201 - this is the output
         elif found is None:

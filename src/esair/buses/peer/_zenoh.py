@@ -15,6 +15,7 @@ import logging
 import math
 import os
 import re
+import ssl
 import threading
 import time
 from collections.abc import Iterable
@@ -200,8 +201,6 @@ class _Peer:
 
 
 def _decoded(certificate: Path) -> dict[str, Any]:
-    import ssl
-
     decode: Any = getattr(ssl, "_ssl")._test_decode_cert  # noqa: B009, SLF001
     return decode(certificate)  # type: ignore[no-any-return]
 
@@ -264,8 +263,6 @@ class Network:
 
     def _check(self, tls: Tls) -> None:
         """Read the certificates: with a wrong one the network is silent, and no more."""
-        import ssl
-
         for field in _OF_TLS:
             if not (file := Path(getattr(tls, field))).is_file():
                 told = f"there is no file {str(file)!r}"
@@ -287,8 +284,6 @@ class Network:
             raise ConfigError("network", "tls.certificate", told)
 
     def _check_days(self, tls: Tls, owner: str) -> None:
-        import ssl
-
         days, seconds = _decoded(tls.certificate), ssl.cert_time_to_seconds
         self._days = seconds(days["notBefore"]), seconds(days["notAfter"])
         if told := self.why():

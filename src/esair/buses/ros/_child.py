@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import array
 import base64
+import collections
 import importlib
 import itertools
 import json
@@ -332,14 +333,13 @@ class Graph:
         self.links = {link["name"]: link for link in links}
         self.topics: dict[str, Any] = {}
         self.told: set[tuple[str, str]] = set()
-        self.looked: dict[tuple[str, str], int] = {}
+        self.looked: collections.Counter[tuple[str, str]] = collections.Counter()
         self.asked: dict[int, Any] = {}
         self.servers: dict[int, Any] = {}  # of the calls: name, whether it is there
         self.publishers: dict[str, Any] = {}
         self.clients: dict[str, Any] = {}
         self.served: list[Any] = []
         self.missing: dict[str, str] = {}
-        self.doubled = 0
         for link in links:
             try:
                 link["class"] = found(link["type"])
@@ -398,18 +398,15 @@ class Graph:
 
         async def serve(request: Any, response: Any) -> Any:
             future = Future()
-            self.bridge.asked(
-                *(name, plain(request), lambda *end: future.set_result(end)),
-                lambda _: None,
-            )
+            about = name, plain(request), lambda *end: future.set_result(end)
+            self.bridge.asked(*about, lambda _: None)
             return self._filled(name, response, *await future)[0]
 
         self.node.create_service(link["class"], name, serve, callback_group=self.group)
 
-    def _filled(
-        self, name: str, response: Any, how: str, value: Any
-    ) -> tuple[Any, bool]:
+    def _filled(self, name: str, response: Any, *end: Any) -> tuple[Any, bool]:
         """Return a response, and whether it is an answer that fits."""
+        how, value = end
         if how == "answered":
             try:
                 return fill(response, value), True
@@ -434,10 +431,8 @@ class Graph:
             def progress(value: Any) -> None:
                 goal.publish_feedback(fill(kind.Feedback(), value))
 
-            number = self.bridge.asked(
-                *(name, plain(goal.request), lambda *end: future.set_result(end)),
-                progress,
-            )
+            about = name, plain(goal.request), lambda *end: future.set_result(end)
+            number = self.bridge.asked(*about, progress)
             numbers[bytes(goal.goal_id.uuid)] = number
             if goal.is_cancel_requested:
                 self.bridge.give_up(number)
@@ -551,8 +546,8 @@ class Graph:
         node, there = self.node, {}
         me = node.get_name(), node.get_namespace()
         is_double = node.get_node_names_and_namespaces().count(me) > 1
-        self.doubled = self.doubled + 1 if is_double else 0
-        if self.doubled == GHOST:
+        self.looked[me] = self.looked[me] + 1 if is_double else 0
+        if self.looked[me] == GHOST:
             node.get_logger().warning("another node has this name: end one of them")
         there["topic"] = dict(node.get_topic_names_and_types())
         there["service"] = dict(node.get_service_names_and_types())
@@ -566,10 +561,10 @@ class Graph:
                         ends += node.get_publishers_info_by_topic(whole)
                         ends += node.get_subscriptions_info_by_topic(whole)
                     who = {end.node_name for end in ends if end.topic_type == other}
-                    seen = self.looked[name, other] = (
-                        self.looked.get((name, other), 0) + 1
-                    )
-                    if UNKNOWN in who and seen < 4:  # the name of a node comes later
+                    self.looked[name, other] += 1
+                    if (
+                        UNKNOWN in who and self.looked[name, other] < 4
+                    ):  # the name of a node comes later
                         continue
                     self.told.add((name, other))
                     yield name, link["type"], other, ", ".join(sorted(who))

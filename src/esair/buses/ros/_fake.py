@@ -10,7 +10,7 @@ import attrs
 
 from esair.buses.peer import PeerBus
 from esair.buses.ros._child import BEAT, Bridge, Room, pack, unpack
-from esair.loop import spawn
+from esair.loop import arrive, spawn
 
 
 class FakeRos:
@@ -85,12 +85,9 @@ class FakeRos:
         outcome: asyncio.Future[tuple[str, Any]]
         outcome = asyncio.get_running_loop().create_future()
 
-        def end(how: str, value: Any) -> None:
-            if not outcome.done():
-                outcome.set_result((how, value))
-
         bridge = self._bridge
-        number = bridge.asked(name, request, end, progress)
+        about = name, request, lambda *end: arrive(outcome, end), progress
+        number = bridge.asked(*about)
         outcome.add_done_callback(
             lambda done: bridge.give_up(number) if done.cancelled() else None
         )

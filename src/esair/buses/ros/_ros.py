@@ -282,9 +282,7 @@ def _answered(form: Form, response: Any) -> Any:
         return form.value(response)
     if form.kind is type(None) or not response:
         return None
-    return (
-        response["success"] if "success" in response else next(iter(response.values()))
-    )
+    return response.get("success", next(iter(response.values())))
 
 
 @attrs.frozen
