@@ -249,9 +249,6 @@ def _in_instance(component: Component) -> Iterator[tuple[str, str]]:
             yield attribute, told
 
 
-_TOLD_LATER = "can_tell_set_up", "supervisor"  # of an open device, of a running robot
-
-
 @once_for_class
 def _computed(cls: type[Component]) -> list[str]:
     """Return what the rules ask of a component that its class computes by a property."""
@@ -260,7 +257,8 @@ def _computed(cls: type[Component]) -> list[str]:
     computed = inspect.getmembers_static(cls, lambda value: isinstance(value, property))
     esairs = {**hints_of(base), **dict(inspect.getmembers_static(base))}
     asked = [n for n, each in computed if esairs.get(n, each) is not each]
-    return [n for n in asked if n not in _TOLD_LATER]
+    # These tell of an open device, and of a running robot.
+    return [n for n in asked if n not in ("can_tell_set_up", "supervisor")]
 
 
 def raising(component: object) -> Finding | None:
