@@ -105,6 +105,8 @@ def unsound(value: Any) -> str:
     """Say where there is no finite number in a value; nothing if it cannot be looked through."""
     try:
         found = flaw(value)
+    except ArithmeticError:  # so says the infinity of a Decimal, and its sNaN
+        return f"expected {_FINITE}, not {value!r:.80}"
     except BaseException:  # it may be an object of any class
         return ""
     if found is None or found.expected == TOO_DEEP:
@@ -132,11 +134,7 @@ class _Walk:
                 value = honest(value)
             if self._rows and in_row and isinstance(value, float):
                 return Flaw(path, value, NUMBER) if value != value else None
-            try:
-                is_finite = value - value == 0
-            except ArithmeticError:  # so say the infinity of a Decimal, and its sNaN
-                is_finite = False
-            if not is_finite:
+            if value - value != 0:
                 return Flaw(path, value, _FINITE)
             return Flaw(path, value, kind) if kind not in {"", NUMBER} else None
         if shape == _ATOM:
