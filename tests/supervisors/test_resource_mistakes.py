@@ -175,3 +175,16 @@ async def test_what_is_asked_when_open_may_not_be_known_before() -> None:
     ready, lost = esair.ResourceState.READY, esair.ResourceState.LOST
     assert [each.state for each in states] == [ready, lost]
     assert "boom" in str(states[1].error)
+
+
+@pytest.mark.parametrize("field", ["counts", "counted", "is_set_up"])
+async def test_a_property_that_nobody_asks_before_it_is_open_may_raise(
+    field: str,
+) -> None:
+    """An encoder has its counts when its device is there."""
+    late = type("Late", (Chip,), {field: property(raises)})
+
+    async with esair.Robot(resources=[late(bus=FakeI2c())]) as robot:
+        state = robot.resources.query("late").state
+
+    assert state is esair.ResourceState.READY

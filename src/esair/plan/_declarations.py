@@ -256,9 +256,10 @@ def _computed(cls: type[Component]) -> list[str]:
     base = next((each for each in bases if issubclass(cls, each)), cls)
     computed = inspect.getmembers_static(cls, lambda value: isinstance(value, property))
     esairs = {**hints_of(base), **dict(inspect.getmembers_static(base))}
-    asked = [n for n, each in computed if esairs.get(n, each) is not each]
-    # These tell of an open device, and of a running robot.
-    return [n for n in asked if n not in ("can_tell_set_up", "supervisor")]
+    later = {"can_tell_set_up", "counted", "counts", "is_set_up"}  # of an open device
+    later |= {"elapsed_ms", "now_ms", "supervisor"}  # of a running robot
+    asked = {n for n, each in computed if esairs.get(n, each) is not each}
+    return sorted(asked - later)
 
 
 def raising(component: object) -> Finding | None:

@@ -343,8 +343,7 @@ def examine(plan: Plan) -> list[Finding]:
         What was found: resources, behaviors, policies, in this order, and then what
         only the whole shows.
     """
-    components = [*plan.resources, *plan.behaviors]
-    if found := [*filter(None, map(raising, components))]:
+    if found := [*filter(None, map(raising, [*plan.resources, *plan.behaviors]))]:
         return found  # no rule could ask them
     return [
         *_names(plan),
