@@ -427,6 +427,37 @@ async def test_a_stop_tries_nothing_past_a_thread_that_was_given_up() -> None:
     assert life._last_try is None
 
 
+@pytest.mark.promise("ROB-3")
+@pytest.mark.real_clock
+@pytest.mark.fault("D21", "D22")
+async def test_a_stop_waits_a_moment_for_a_thread_that_was_given_up() -> None:
+    """What its call does as it comes back is undone before the robot has stopped."""
+    go, log = threading.Event(), []
+
+    class Arm(esair.Actuator[float]):
+        safe = 0.0
+        deadline = 0.05
+
+        def write(self, command: float) -> None:
+            if command:
+                go.wait(10.0)
+            log.append(command)
+
+    user = esair.Behavior(name="user", writes={"arm": esair.writes(float)})
+    async with esair.Robot(resources=[Arm()], behaviors=[user]) as robot:
+        writing = asyncio.create_task(user.arm.write(1.0))  # type: ignore[attr-defined]
+        await asyncio.wait({writing})
+        channel = robot.actuators.channels["arm"]
+        async with asyncio.timeout(10.0):
+            while channel.state is not ResourceState.LOST:  # noqa: ASYNC110
+                await asyncio.sleep(0.005)
+        asyncio.get_running_loop().call_later(0.2, go.set)
+
+    assert go.is_set()
+    assert log[:2] == [0.0, 1.0]
+    assert log[-1] == 0.0
+
+
 @pytest.mark.promise("RS-4", "RES-2")
 @pytest.mark.fault("R12")
 @pytest.mark.parametrize("takes", [0.05, 0.5, 1000.0])

@@ -343,20 +343,17 @@ class ResourceDeployment:
             return
         until = max(until, channel.time() + AT_LEAST)
         channel.safe.latch(until)
-        await self._make_safe(name, until)
+        await self._make_safe(channel, until)
         if not channel.is_safe:
             _log.error("%s; it goes, and may move on", channel.told())
 
-    async def _make_safe(self, name: str, until: float) -> None:
-        channel = self.actuators.channels.get(name)
-        if channel is None:
-            return
+    async def _make_safe(self, channel: ActuatorChannel, until: float) -> None:
         if channel.state is ResourceState.READY:
             channel.make_safe()
             await channel.safe.settled(until)
-        life, is_there = self.lives.get(name), channel.state is ResourceState.READY
-        if life is not None and not is_there and not life.device.is_stuck():
-            await life.last_try(until)  # nothing gets past a thread that is stuck
+        life = self.lives.get(channel.name)
+        if life is not None and channel.state is not ResourceState.READY:
+            await life.last_try(until)
 
     async def _undeploy(
         self, life: ResourceLife, state: ResourceState, until: float
@@ -456,7 +453,7 @@ class ResourceDeployment:
         """Send every actuator its safe command, whatever was sent before."""
         channels = tuple(self.actuators.channels.values())
         until = self._stops_since + self._grace + SAFE_WITHIN
-        await side_by_side([self._make_safe(each.name, until) for each in channels])
+        await side_by_side([self._make_safe(each, until) for each in channels])
         return [each.told() for each in channels]
 
     async def stop(self) -> None:

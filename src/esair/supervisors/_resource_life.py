@@ -473,10 +473,14 @@ class ResourceLife:
 
         Its removal and the stop may both ask for it: then they share one.
         """
+        calls = self.device.calls
+        if self.device.is_stuck():  # safe comes after what its thread still does
+            await calls.quiet(min(until, self._loop.time() + LAST_TRY))
+        if calls.alive and self.device.is_stuck():
+            return
         if self._last_try is None:
-            self._last_try = spawn(
-                self._loop, self._try_once_more(until), name=f"{self.name} last try"
-            )
+            trying = self._try_once_more(until)
+            self._last_try = spawn(self._loop, trying, name=f"{self.name} last try")
         await asyncio.wait({self._last_try})
 
     async def _try_once_more(self, until: float) -> None:
