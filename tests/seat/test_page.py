@@ -11,6 +11,7 @@ import shutil
 import socket
 import ssl
 import stat
+import struct
 import subprocess
 import sys
 import time
@@ -285,6 +286,43 @@ async def test_who_pours_holds_the_loop_for_a_moment(served, flood):
         writer.close()
         assert max(stretches) < 0.06
         assert (await get(robot))[0] == 200
+
+
+@pytest.mark.promise("SEC-1")
+@pytest.mark.parametrize(
+    "garbage",
+    [
+        pytest.param(b"\x16\x03\x01" + b"x" * 9000, id="one line"),
+        pytest.param(b"x\r\n\r\n" * 2000, id="lines"),
+    ],
+)
+async def test_much_garbage_is_one_mistake_of_its_sender(served, garbage):
+    """It is told once that it is none of HTTP, and no error of the robot's loop."""
+    errors = list[dict[str, Any]]()
+    async with served() as robot:
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(lambda _, told: errors.append(told))
+        reader, writer = await asyncio.open_connection("127.0.0.1", port_of(robot))
+        writer.write(garbage)
+        async with asyncio.timeout(10.0):
+            assert (await reader.read()).startswith(b"HTTP/1.1 400 ")
+        writer.close()
+    assert errors == []
+
+
+@pytest.mark.promise("OPS-5")
+async def test_a_long_line_may_come_with_the_token(served):
+    """Who shows the token need not wait for an answer before it asks for more."""
+    line = json.dumps({"v": 1, "id": "1", "act": "status", "args": {"x": "y" * 60_000}})
+    frame = b"\x81\xfe" + struct.pack(">H", len(line)) + bytes(4) + line.encode()
+    async with served(page=esair.Page(port=0, token=TOKEN)) as robot:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port_of(robot))
+        writer.write(UPGRADE.format(port=port_of(robot)).encode())
+        await reader.readuntil(b"\r\n\r\n")
+        writer.write(SHOWN + frame)
+        async with asyncio.timeout(10.0):
+            await reader.readuntil(b'"id":"1"')
+        writer.close()
 
 
 STRANGER = """

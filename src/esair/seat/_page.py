@@ -141,7 +141,8 @@ def entrance(lobby: Lobby, context: ssl.SSLContext | None) -> type[asyncio.Proto
                 return
             for begin in range(0, len(data), PIECE):
                 # After its one question nothing is looked at: a body may be all chunks.
-                if self.cycle is None and self.transport.get_protocol() is self:
+                is_over = self.cycle is not None or self.transport.is_closing()
+                if not is_over and self.transport.get_protocol() is self:
                     super().data_received(data[begin : begin + PIECE])
 
         def connection_lost(self, exc: Exception | None) -> None:
@@ -159,12 +160,13 @@ def guest(lobby: Lobby) -> type[asyncio.Protocol]:
         _bytes = 0
 
         def data_received(self, data: bytes) -> None:
-            # Ten thousand pings of who has shown no token would hold the loop.
-            self._bytes += len(data) if self.handshake_initiated else 0
+            # Ten thousand pings of who has shown no token would hold the loop. What comes
+            # with the token is a guest's: the next piece is read when that was looked at.
             if self._bytes > STRANGE and _peer(self.client) in lobby.there:
                 self.transport.abort()
-            else:
-                sansio.WebSocketsSansIOProtocol.data_received(self, data)
+                return
+            self._bytes += len(data) if self.handshake_initiated else 0
+            sansio.WebSocketsSansIOProtocol.data_received(self, data)
 
     return Guest
 
