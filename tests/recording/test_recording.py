@@ -313,6 +313,23 @@ async def test_runs_that_their_user_numbers_are_told_apart(
     assert len([*events_of(second)]) == counts[1]
 
 
+@pytest.mark.promise("REC-4")
+@pytest.mark.parametrize("which", ["run.mcap", "run.2.mcap"])
+async def test_a_part_that_has_lost_whose_it_is_ends_no_recording(
+    fake_sensor, fake_actuator, tmp_path: Path, which: str
+):
+    """A damaged byte there costs no event, of no part."""
+    path = tmp_path / "run.mcap"
+    made, _ = robot(fake_sensor, fake_actuator, record=esair.Recording(path))
+    async with made:
+        await asyncio.sleep(0.1)
+    count, whole = len([*events_of(path)]), path.read_bytes()
+    for name in ("run.mcap", "run.2.mcap", "run.3.mcap"):
+        damaged = whole.replace(b"\x03\0\0\0run", b"\xff\0\0\0run", 1)
+        (tmp_path / name).write_bytes(damaged if name == which else whole)
+    assert len([*events_of(path)]) == 3 * count > 0
+
+
 @pytest.mark.real_clock
 @pytest.mark.promise("REC-4")
 def test_what_is_left_of_an_earlier_run_ends_no_recording(tmp_path: Path) -> None:

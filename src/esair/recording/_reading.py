@@ -478,19 +478,19 @@ def segments_of(path: Path) -> Iterator[Path]:
         stem, number = found[1], int(found[2])
     first = path if number == 1 else path.with_stem(f"{stem}.{number}")
     yield first
-    for later in itertools.count(number + 1):
-        segment = path.with_stem(f"{stem}.{later}")
-        if not segment.exists() or _run_of(segment) not in ({}, _run_of(first)):
+    run: dict[str, str] = {}  # of which all are: of the first one that tells it
+    later = (path.with_stem(f"{stem}.{each}") for each in itertools.count(number + 1))
+    for segment in itertools.takewhile(Path.exists, later):
+        run = run or _run_of(first) or _run_of(segment)
+        if _run_of(segment) not in ({}, run):
             return
         yield segment
 
 
 def _run_of(path: Path) -> dict[str, str]:
     """Return what no two runs have alike; empty of a file that was cut before it."""
-    for part in parts_of(path, skip_messages=True):
-        if isinstance(part, Fact) and part.name == "clock":
-            return part.told
-    return {}
+    facts = (part for part in parts_of(path, skip_messages=True) if type(part) is Fact)
+    return next((fact.told for fact in facts if fact.name == "clock"), {})
 
 
 def numbers_of(path: Path) -> Iterator[int]:
