@@ -100,3 +100,10 @@ def test_what_has_no_room_is_named(tmp_path: Path) -> None:
     ):
         raise full
     assert not list(tmp_path.iterdir())
+
+
+def test_what_cannot_be_read_keeps_its_name(tmp_path: Path) -> None:
+    """It is no error of the file that would have been made of it."""
+    (tmp_path / "run.mcap").mkdir()
+    with pytest.raises(IsADirectoryError, match=r"run[.]mcap"):
+        recover(tmp_path / "run.mcap")

@@ -113,7 +113,7 @@ def replaced(path: Path) -> Iterator[BinaryIO]:
             os.replace(partial, path.name, src_dir_fd=folder, dst_dir_fd=folder)
         except BaseException as error:
             os.unlink(partial, dir_fd=folder)
-            if isinstance(error, OSError):  # a full disk names no file
+            if isinstance(error, OSError) and not error.filename:  # as of a full disk
                 error.filename = str(path)
             raise
     finally:
