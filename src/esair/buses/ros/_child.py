@@ -562,10 +562,8 @@ class Graph:
                         ends += node.get_subscriptions_info_by_topic(whole)
                     who = {end.node_name for end in ends if end.topic_type == other}
                     self.looked[name, other] += 1
-                    if (
-                        UNKNOWN in who and self.looked[name, other] < 4
-                    ):  # the name of a node comes later
-                        continue
+                    if UNKNOWN in who and self.looked[name, other] < 4:
+                        continue  # the name of a node comes later
                     self.told.add((name, other))
                     yield name, link["type"], other, ", ".join(sorted(who))
 
