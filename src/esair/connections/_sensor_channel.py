@@ -331,8 +331,7 @@ class SensorChannel(Device):
         time: float | None = None
         wrong: str | None = None
         if type(value) is Stamped:
-            measured = measured_at(value, now)
-            if isinstance(measured, str):
+            if isinstance(measured := measured_at(value, now), str):
                 wrong = measured
             else:
                 time = measured

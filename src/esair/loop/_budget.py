@@ -93,8 +93,8 @@ class Budget(OfTurn):
         if budget.clock() > budget.late:
             await budget.give_way()
 
-    async def give_way(self, tries: int = 2) -> None:
-        """Let everybody else go on first: the turn has lasted for too long.
+    async def give_way(self, tries: int = 2, most: int = 3) -> None:
+        """Let everybody else go on first, for so many passes: the turn has lasted too long.
 
         Who finds first that it has lasted, and did not only await much in it, goes on after
         those whom the next turn lets go on. One of them may make its turn last as long.
@@ -104,7 +104,7 @@ class Budget(OfTurn):
             return
         if self._next is None:
             has_lasted = turn.clock() > turn.time() + LASTS
-            passes = 3 if has_lasted and turn.number != self._found else 1
+            passes = most if has_lasted and turn.number != self._found else 1
             self._found = turn.number
             if isinstance(turn.door.tape, TapeWriter):
                 gave_way = turn.number, self._awaits, passes

@@ -32,6 +32,7 @@ from collections.abc import Awaitable, Callable, Iterable, Iterator
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Protocol
 
+from esair.loop._budget import LASTS
 from esair.loop._of_loop import OfTurn, turn_of
 from esair.loop._ownership import spawn
 
@@ -162,9 +163,8 @@ class Job:
     @property
     def skipped(self) -> int:
         """How many steps were left out because they came too late."""
-        return (
-            self.group.skipped - self._skipped_before if self.group is not None else 0
-        )
+        group = self.group
+        return 0 if group is None else group.skipped - self._skipped_before
 
     @property
     def moment(self) -> float:
@@ -312,12 +312,11 @@ class Asked:
         )
 
     def take(self, left: Asked) -> None:
-        """Take what was left of another turn."""
-        self.polls += left.polls
-        self.jobs += left.jobs
-        self.derived += left.derived
-        self.decided += left.decided
-        self.last += left.last
+        """Take over what was asked for of another turn."""
+        for name in Asked.__slots__:
+            asked = getattr(left, name)
+            getattr(self, name).extend(asked)
+            asked.clear()
 
 
 class Scheduler(OfTurn):
@@ -344,7 +343,7 @@ class Scheduler(OfTurn):
         self._cancelled = 0  # how many one-shots in the heap nobody wants any more
         self._groups: dict[tuple[Order, Fraction, int], RateGroup] = {}
         self._phases = 1
-        self._turn: Iterator[Iterable[Callee]] = iter(())
+        self._turn: Iterator[Iterable[Callee]] | None = None
         self._calls: Iterator[Callee] = iter(())
         self._now = 0.0
         self._turning = False
@@ -389,7 +388,8 @@ class Scheduler(OfTurn):
         key = (order, whole, int(phase % whole))
         group = self._groups.get(key)
         if group is None:
-            group = self._groups[key] = RateGroup(*key, after=self._nanoseconds())
+            group = RateGroup(*key, after=round(self._time() * SECOND))
+            self._groups[key] = group
         job = self._job(function, group, order, name)
         group.add(job)
         if len(group.jobs) == 1:
@@ -475,7 +475,6 @@ class Scheduler(OfTurn):
         if asked:
             self._now_asked, self._next_asked = asked, self._now_asked
         if not self._turning:
-            self._turn = self._batches()
             self._lead_on()
         elif self._sleep is not None and not self._sleep.done():
             self._sleep.set_result(None)
@@ -493,17 +492,11 @@ class Scheduler(OfTurn):
         self._heap = [
             each
             for each in self._heap
-            if not (
-                (entry := each[-1]) is gone
-                or (isinstance(entry, OneShot) and entry.function is idle)
-            )
+            if each[-1] is not gone and getattr(each[-1], "function", None) is not idle
         ]
         heapq.heapify(self._heap)
         if self._turning and not self._heap:
             self._want(NOW)
-
-    def _nanoseconds(self) -> int:
-        return round(self._time() * SECOND)
 
     def _push(self, due: int, entry: RateGroup | OneShot) -> None:
         number = next(self._numbers)
@@ -535,10 +528,12 @@ class Scheduler(OfTurn):
                         self._lead_on()
                         await rest
                         return
+                if self._turn is None:
+                    self._turn = await self._begin()
                 self.in_turn = True
                 calls = next(self._turn, None)
                 if calls is None:
-                    self.in_turn = False
+                    self.in_turn, self._turn = False, None
                     if self._cancelled >= len(self._heap) > 0:
                         self._forget(None)
                     if not (self._heap or self._now_asked or self._next_asked):
@@ -547,14 +542,21 @@ class Scheduler(OfTurn):
                         await self._fall_asleep()
                     finally:
                         self._sleep = None
-                    self._turn = self._batches()
                 else:
                     self._calls = iter(calls)
         finally:
             if self._leader is me:
-                self._leader = None
+                self._leader = self._turn = None
                 self._turning = self.in_turn = False
                 self._rests, self.due = True, NEVER
+
+    async def _begin(self) -> Iterator[Iterable[Callee]]:
+        """Begin to turn, after one more border if the loop was held since the last one."""
+        turn = self._loops_turn
+        if self is turn.robot and turn.budget.clock() > self._time() + LASTS:
+            await turn.budget.give_way(0, 1)  # what is known is old
+            self._now_asked.take(self._next_asked)
+        return self._batches()
 
     def _batches(self) -> Iterator[Iterable[Callee]]:
         """Go through one turn; what falls due in it waits for the next one."""
@@ -620,10 +622,8 @@ class Scheduler(OfTurn):
         return (fired,)
 
     def _fall_asleep(self) -> asyncio.Future[None]:
-        left = self._now_asked
-        if left:  # what the end of the turn has asked for is for the next one
-            self._next_asked.take(left)
-            self._now_asked = Asked()
+        if self._now_asked:  # by the end of the turn: it is for the next one
+            self._next_asked.take(self._now_asked)
         self._sleep = sleep = self._loop.create_future()
         self._rests = True
         if self._next_asked:
