@@ -115,7 +115,7 @@ class Maker:
 
     def __init__(self, digest: str) -> None:
         self.replay = {
-            "format": "3",
+            "format": "4",
             "exact": "yes",
             "why": "",
             "clock": "real",

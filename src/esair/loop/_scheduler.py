@@ -32,7 +32,6 @@ from collections.abc import Awaitable, Callable, Iterable, Iterator
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Protocol
 
-from esair.loop._budget import LASTS
 from esair.loop._of_loop import OfTurn, turn_of
 from esair.loop._ownership import spawn
 
@@ -513,7 +512,10 @@ class Scheduler(OfTurn):
         spawn(self._loop, self._lead(), name="esair scheduler")
 
     async def _lead(self) -> None:
-        me = self._leader = asyncio.current_task()
+        me, turn = asyncio.current_task(), self._loops_turn
+        # What is outside of the robot is not repeated, and virtual time stands still.
+        budget = turn.budget if self is turn.robot and not turn.virtual else None
+        self._leader = me
         try:
             while True:
                 now = self._now
@@ -529,7 +531,10 @@ class Scheduler(OfTurn):
                         await rest
                         return
                 if self._turn is None:
-                    self._turn = await self._begin()
+                    if budget and budget.clock() > budget.late:
+                        await budget.give_way(0, 1)  # it was held: what is known is old
+                        self._now_asked.take(self._next_asked)
+                    self._turn = self._batches()
                 self.in_turn = True
                 calls = next(self._turn, None)
                 if calls is None:
@@ -549,14 +554,6 @@ class Scheduler(OfTurn):
                 self._leader = self._turn = None
                 self._turning = self.in_turn = False
                 self._rests, self.due = True, NEVER
-
-    async def _begin(self) -> Iterator[Iterable[Callee]]:
-        """Begin to turn, after one more border if the loop was held since the last one."""
-        turn = self._loops_turn
-        if self is turn.robot and turn.budget.clock() > self._time() + LASTS:
-            await turn.budget.give_way(0, 1)  # what is known is old
-            self._now_asked.take(self._next_asked)
-        return self._batches()
 
     def _batches(self) -> Iterator[Iterable[Callee]]:
         """Go through one turn; what falls due in it waits for the next one."""

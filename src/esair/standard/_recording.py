@@ -105,7 +105,7 @@ def _text(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-FORMAT = "3"  # that of the turns in a recording
+FORMAT = "4"  # that of the turns in a recording
 
 OWN: Final = "program"
 """The script of a run that the robot's own program has driven: nobody else has it."""
