@@ -453,6 +453,7 @@ async def test_a_stop_waits_a_moment_for_a_thread_that_was_given_up() -> None:
                 await asyncio.sleep(0.005)
         asyncio.get_running_loop().call_later(0.2, go.set)
 
+    assert writing.exception() is not None
     assert go.is_set()
     assert log[:2] == [0.0, 1.0]
     assert log[-1] == 0.0
