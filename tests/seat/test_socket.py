@@ -304,6 +304,19 @@ async def test_a_half_line_is_not_waited_for(rover, raw, monkeypatch):
         assert await client.is_closed()
 
 
+@pytest.mark.promise("OPS-1")
+async def test_whole_lines_without_a_pause_are_no_half_line(raw, rover, monkeypatch):
+    """Each comes in time, though there is always one that is not over yet."""
+    monkeypatch.setattr("esair.seat._socket.HALF_LINE", 0.1)
+    begin, end = b'{"v":1,"id":"1",', b'"act":"status"}\n'
+    async with rover(), raw() as client:
+        client.send(begin)
+        for _ in range(30):
+            client.send(end + begin)
+            assert (await client.hear())["ok"]
+            await asyncio.sleep(0.01)
+
+
 @pytest.mark.promise("SEC-1")
 @pytest.mark.fault("H08")
 async def test_one_lane_is_kept_for_stop(rover, raw):

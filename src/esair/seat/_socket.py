@@ -168,12 +168,11 @@ class _Client(Visitor, Piecewise):
             self._loop.call_later(pause, self._go_on)
         if self.narrow:
             return
-        if self._line or self._skips:
-            if self._patience is None:
-                self._patience = self._loop.call_later(HALF_LINE, self._too_slow)
-        elif self._patience is not None:
+        if self._patience is not None and len(pieces) > 1:
             self._patience.cancel()
             self._patience = None
+        if self._patience is None and (self._line or self._skips):
+            self._patience = self._loop.call_later(HALF_LINE, self._too_slow)
 
     def _take(self, piece: bytes, *, whole: bool) -> None:
         if not self._skips:
