@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextvars
 import gc
+import importlib
 import math
 import os
 import signal
@@ -397,6 +398,57 @@ async def test_a_driver_that_dies_at_open_is_tried_again() -> None:
         status = robot.resources.query("sonar")
         assert status.state is not esair.ResourceState.READY
         assert "exited with 3" in str(status.error)
+
+
+SLOW = """
+import sys
+import time
+
+import esair
+
+if "esair.placement._child" in sys.modules:
+    time.sleep({})
+
+
+class Slow(esair.Sensor[float]):
+    placement = "process"
+    deadline = 0.1
+
+    def read(self):
+        return 1.0
+"""
+
+
+def slow_sensor(path: Path, seconds: float) -> Any:
+    """Make a sensor whose module takes so long to import in a process of its own."""
+    name = f"slow_{seconds:.0f}"
+    (path / f"{name}.py").write_text(SLOW.format(seconds))
+    return importlib.import_module(name).Slow(name="slow")
+
+
+@pytest.mark.promise("PLC-1", "RES-2")
+async def test_an_import_may_take_longer_than_a_call_of_the_driver(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sensor is ready when its module is there, whatever its deadline."""
+    monkeypatch.syspath_prepend(tmp_path)
+    async with esair.Robot(resources=[slow_sensor(tmp_path, 1.2)]) as robot:
+        status = robot.resources.query("slow")
+        assert (status.state, status.losses) == (esair.ResourceState.READY, 0)
+
+
+@pytest.mark.promise("PLC-3")
+async def test_an_import_that_hangs_is_killed_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The error says what has not ended, and what gives it more time."""
+    monkeypatch.syspath_prepend(tmp_path)
+    sensor = slow_sensor(tmp_path, 60.0)
+    sensor.placement = esair.Placement(stall=0.3)
+    async with esair.Robot(resources=[sensor]) as robot:
+        status = robot.resources.query("slow")
+        assert "hung for 0.3 s; it was killed in its import" in str(status.error)
+        assert "a longer `stall`" in str(status.error)
 
 
 @pytest.mark.promise("PLC-1", "MIN-2")

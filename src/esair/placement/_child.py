@@ -82,9 +82,7 @@ class KindsOfChild(Kinds):
         if found is None:
             module, _, path = name.partition(":")
             try:
-                made: Any = sys.modules.get(module) or __import__(
-                    module, fromlist=["_"]
-                )
+                made: Any = importlib.import_module(module)
                 for part in path.split("."):
                     made = getattr(made, part)
             except (ImportError, AttributeError):
@@ -142,6 +140,7 @@ class Child(Exchange):
         self._at_once: dict[str, Callable[..., Any]] = {
             "settle": self._settle,
             "make": self._make,
+            "made": lambda: None,
             "react": lambda step, *asked: self.reacting[step].decide(*asked),
         }
         self._own_verbs: dict[str, Callable[..., Any]] = {
@@ -168,15 +167,11 @@ class Child(Exchange):
 
     def _is_still(self) -> bool:
         """Tell whether each of its tasks waits for the end of a call."""
-        waits = others = 0
-        for each in self.owner.living():
-            if isinstance(getattr(each, "_fut_waiter", None), Outcome):
-                waits += 1
-            else:
-                others += 1
+        waiters = [getattr(each, "_fut_waiter", None) for each in self.owner.living()]
+        waits = sum(isinstance(each, Outcome) for each in waiters)
         # A task that carries threads does nothing but wait for them.
         threads = len(self.owner.threads)
-        return others <= (1 if threads and waits >= threads else 0)
+        return len(waiters) - waits <= (1 if threads and waits >= threads else 0)
 
     def tick(self) -> None:
         self._wire.send(Op.TICK, NEVER)

@@ -127,6 +127,7 @@ class Process(Exchange):
         self._steps, self._caller = FirstSteps(loop), Caller(f"the process of {name}")
         self._lane = self._look
         self._told_to_end: set[int] = set()
+        self.is_made: bool = False  # its component: its module is imported
         self._is_empty = False  # nothing could be made in it
         self._is_condemned = False
         self._work = 0  # the number that the door has given to what it works on
@@ -260,8 +261,7 @@ class Process(Exchange):
     def _send(self) -> None:
         if self._idle and self.error is None:
             self._idle = False
-            if self._wake is not None:
-                self._forget_wake()
+            self._forget_wake()
             self._door.give_out(self._begin, self._lane)  # type: ignore[arg-type]
 
     def _begin(self, work: int) -> None:
@@ -439,7 +439,8 @@ class Process(Exchange):
         if self.error is None and not self._is_condemned:
             self._is_condemned = True
             self._signal(signal.SIGKILL)
-            self._gone(f"{how}; it was killed", -signal.SIGKILL)
+            at = "" if self.is_made else " in its import: give it a longer `stall`"
+            self._gone(f"{how}; it was killed{at}", -signal.SIGKILL)
 
     def _gone(self, how: str, code: int | None) -> None:
         error = ProcessDiedError(self.name, how, code, self._words.last())

@@ -67,14 +67,12 @@ class Seats:
 
     async def ready(self) -> None:
         """Wait until children can be made."""
-
-        async def wait() -> None:
-            await loop.run_in_executor(None, self.nursery.wait)
-
         loop = asyncio.get_running_loop()
         if isinstance(Door.of(loop).tape, Player):
             self.nursery.wait()  # how long that takes is not on the tape
-        await outside(("placement", "ready"), wait)
+        await outside(
+            ("placement", "ready"), lambda: asyncio.to_thread(self.nursery.wait)
+        )
 
     def seat(self, component: Any) -> Seat:
         """Return the place of a component."""
@@ -121,7 +119,7 @@ class Seat:
         component = self.component
         if isinstance(component, Behavior):
             methods = ["run", *(["provide"] if component.provides else [])]
-            given = {"setup": self._first("setup"), "teardown": self._last("teardown")}
+            given = {"setup": self._setup, "teardown": self._last("teardown")}
             given |= {name: self._method(name) for name in methods}
             for attribute, each in component.takes.items():
                 if isinstance(each, Takes) and each.method is not None:
@@ -169,13 +167,12 @@ class Seat:
             serve=self._serve,
             died=self._died,
         )
-        stream, is_virtual = self._owner.stream, turn_of(process.loop).virtual
         settled = {
             "path": import_path(),
             "argv": list(sys.argv),
             "name": self.name,
-            "stream": stream,
-            "is_virtual": is_virtual,
+            "stream": self._owner.stream,
+            "is_virtual": turn_of(process.loop).virtual,
             "memory": self.placement.memory,
             "nice": self.placement.nice,
             "level": logging.getLogger().getEffectiveLevel(),
@@ -183,12 +180,22 @@ class Seat:
         process.call("settle", (settled,), self._settled)
         is_device = isinstance(self.component, Resource)
         settings = dict(self.component.settings) if is_device else {}
-        process.call("make", (self._recipe, settings), self._settled)
+        process.call("make", (self._recipe, settings), self._made)
 
     def _settled(self, _value: Any, error: BaseException | None) -> None:
         """What could not be made answers every call with why."""
         if error is not None and self.process is not None:
             self.process.refuse(error)
+
+    def _made(self, value: Any, error: BaseException | None) -> None:
+        self._settled(value, error)
+        if self.process is not None:
+            self.process.is_made = True
+
+    async def make(self) -> None:
+        """Begin a process, and wait until the component is there."""
+        self.begin(self._on_death)
+        await self.lives.run("made")
 
     def decide(self, step: tuple[Any, ...], end: End, number: int = 0) -> None:
         """Have a reaction decide in the child; its decision comes to a function."""
@@ -203,9 +210,8 @@ class Seat:
 
     def spawn(self, coroutine: Coroutine[Any, Any, None], name: str) -> object:
         """Do something in the name of the component."""
-        called = f"{self.name} {name}"
         loop = asyncio.get_running_loop()
-        return spawn(loop, coroutine, name=called, owner=self._owner)
+        return spawn(loop, coroutine, name=f"{self.name} {name}", owner=self._owner)
 
     def command_timeout(self, resource: str) -> float | None:
         return self._seats.command_timeout(resource)
@@ -240,12 +246,9 @@ class Seat:
 
         return method
 
-    def _first(self, name: str) -> Callable[..., Any]:
-        async def method() -> Any:
-            self.begin(self._on_death)
-            return await self.lives.run(name)
-
-        return method
+    async def _setup(self) -> Any:
+        self.begin(self._on_death)
+        return await self.lives.run("setup")
 
     def _last(self, name: str) -> Callable[..., Any]:
         async def method() -> None:
@@ -277,8 +280,8 @@ class Seat:
 
     def _methods_of_driver(self, sensor: Any) -> dict[str, Callable[..., Any]]:
         self._on_death = sensor.report_lost
-        given = {"open": self._first("open"), "close": self._last("close")}
-        given["apply"] = self._method("apply")
+        given = {name: self._method(name) for name in ("open", "apply")}
+        given["close"] = self._last("close")
         for name in ("identify", "is_set_up"):
             if getattr(type(sensor), name) is not getattr(Resource, name):
                 given[name] = self._method(name)
@@ -416,14 +419,13 @@ class PlacedRunner(ReactionRunner):
         try:
             self._seat.decide(step, self._answered)
         except BadValueError as error:  # a reading is no plain data: the next may be
-            told = str(error)
             for name, value in senses.by_name().items():
                 try:
                     self._seat.pack(name, value)
                 except BadValueError as unfit:
-                    told = str(unfit)
-                    break
-            self._is_blind(told)
+                    self._is_blind(str(unfit))
+                    return
+            self._is_blind(str(error))
             return
         except Exception as error:
             self.crash(error)
@@ -473,8 +475,7 @@ class PlacedRunner(ReactionRunner):
         return self._answer
 
     def _owes_for_too_long(self) -> None:
-        told = f"it owes an answer for {self.time() - self._began:.3g} s"
-        self._is_blind(told)
+        self._is_blind(f"it owes an answer for {self.time() - self._began:.3g} s")
 
     def _is_blind(self, told: str) -> None:
         self.park(told)

@@ -211,7 +211,7 @@ class ResourceDeployment:
             assert isinstance(resource, Sensor)
             kind = DerivedChannel if resource.is_computed else SensorChannel
             channel = self.sensors.channels[name] = kind(resource, robot)
-        opener = Opener(resource, channel, self.armory)
+        opener = Opener(resource, channel, self.armory, seat)
         if isinstance(channel, DerivedChannel) and isinstance(resource, Derived):
             opener = self._derived[name] = DerivedOpener(resource, channel, self)
         life = self.lives[name] = ResourceLife(resource, channel, opener, seat)

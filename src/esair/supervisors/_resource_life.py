@@ -87,8 +87,9 @@ class Opener:
         resource: Resource,
         channel: SensorChannel | ActuatorChannel,
         armory: Armory | None = None,
+        seat: Seat | None = None,
     ) -> None:
-        self.resource = resource
+        self.resource, self._seat = resource, seat
         self._channel = channel
         # Its own: the channel goes on with those of a successor.
         self.driver: Driver = channel.driver
@@ -122,6 +123,8 @@ class Opener:
             await self._run("open the bus", Method(resource.bus.open, None))
         await self.close()  # what has opened late meanwhile
         self.is_open = True
+        if self._seat is not None:  # an import may take longer than a call of a driver
+            await calls.run("make", Method(self._seat.make, None), limit=None)
         self.newest = calls.number + 1
         await self.call("open")
         if resource.identifies:
