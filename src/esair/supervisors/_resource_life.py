@@ -476,10 +476,9 @@ class ResourceLife:
 
         Its removal and the stop may both ask for it: then they share one.
         """
-        calls = self.device.calls
         if self.device.is_stuck():  # safe comes after what its thread still does
-            await calls.quiet(min(until, self._loop.time() + LAST_TRY))
-        if calls.alive and self.device.is_stuck():
+            await self.device.calls.quiet(min(until, self._loop.time() + LAST_TRY))
+        if self.device.calls.alive and self.device.is_stuck():
             return
         if self._last_try is None:
             trying = self._try_once_more(until)
