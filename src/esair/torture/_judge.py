@@ -201,9 +201,9 @@ class Judge:
     # Where an actuator is told something.
 
     def begins(self, gate: Gate, told: Told) -> None:
-        self._alive(gate, told)
         if not told.safe:
             self._moves(gate, told)
+        self._alive(gate, told)
 
     def lands(self, gate: Gate, told: Told) -> None:
         if not told.safe:
@@ -286,7 +286,8 @@ class Judge:
                         and action.name != mover
                         and priority < need.priority
                     ):
-                        self._check_sight(gate, action, f"{what} by {mover}", stood)
+                        by = "" if stood else f" by {mover}"
+                        self._check_sight(gate, action, what + by, stood)
 
     def _check_sight(self, gate: Gate, action: Any, what: str, stood: bool) -> None:
         world = self._world
