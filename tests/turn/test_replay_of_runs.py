@@ -415,6 +415,22 @@ def test_a_thread_that_halts_the_robot_does_not_wait_for_that_in_a_repetition() 
     assert not play(TurnLoop(player=Player(tape)), tape)
 
 
+@pytest.mark.real_clock
+@pytest.mark.promise("REP-2")
+def test_a_thread_may_end_after_a_repetition(recwarn: pytest.WarningsRecorder) -> None:
+    """asyncio waits for it by a clock that goes on as usual: it is not said to hang."""
+
+    async def main(loop: TurnLoop) -> None:
+        loop.play()
+        loop.run_in_executor(None, time.sleep, 0.1)
+        await asyncio.sleep(1.0)
+
+    loop = TurnLoop(player=Player([]))
+    with asyncio.Runner(loop_factory=lambda: loop) as runner:
+        runner.run(main(loop))
+    assert [str(each.message) for each in recwarn] == []
+
+
 def await_nothing(seconds: float) -> None:
     """Keep the loop busy."""
     end = time.monotonic() + seconds

@@ -423,6 +423,11 @@ class TurnLoop(asyncio.SelectorEventLoop):
             future.add_done_callback(lambda done: done.cancelled() and inner.cancel())
         return future
 
+    async def shutdown_default_executor(self, *args: Any, **options: Any) -> None:
+        """End the threads of `run_in_executor`; no time is hurried on meanwhile."""
+        self._plays = False
+        await super().shutdown_default_executor(*args, **options)
+
     def _pass(self, timeout: float | None = None) -> Any:
         """Wait for the next turn, and be at its border."""
         if self._plays:
