@@ -126,6 +126,7 @@ class Gate:
         self.safe_begun: float = -1.0  # When it was told its newest safe command
         self.safe_landed: int = -1  # The number of the newest one that it had
         self.heard: float = -1e9  # When the robot got a good value from it last
+        self.applied: float = -1e9  # When it was configured last
         # When it was taken away from the robot; None while it belongs to it
         self.left: float | None = None
         self.faulty: float = -1.0  # When its last fault is over
@@ -303,6 +304,8 @@ class Gate:
         opened = name == "open" or (name == "apply" and self._opens)
         if name != "identify":
             self._opens = name == "open"
+        if name == "apply":
+            self.applied = self._loop.time()
         is_first = opened and hasattr(self.resource, "initial")
         if is_first or (name in {"read", "stream"} and value is self._good):
             self.heard = self._loop.time()

@@ -318,6 +318,8 @@ class Judge:
             limit = channel.max_age if need.max_age is None else need.max_age
             slack = SLACK * (1 + stood) + (1.0 / action.rate if action.rate else 0.0)
             age = world.now - sensor.heard - world.jumped(sensor.heard)
+            if stood and sensor.applied >= sensor.heard:
+                continue  # its limit may be another since
             if stood:  # it may have been replaced since
                 age = self._silent_for(need.resource)
             if math.isfinite(limit) and age > limit + slack:
