@@ -48,6 +48,7 @@ async def test_words_are_escaped_and_a_long_line_ends_nothing(
         ("[FATAL] [1.5] [rover]: no more", logging.CRITICAL),
         ("[RTPS_TRANSPORT_SHM Error] Failed init_port", logging.ERROR),
         ("[INFO] [1.5] [rover]: WARN is a word", logging.INFO),
+        ("[INFO] [1.5] [rover]: the pump says [ERROR]", logging.INFO),
     ],
 )
 async def test_a_line_is_as_grave_as_ros_says(

@@ -36,7 +36,7 @@ _PACE, _BURST = 0.0005, 16  # a frame is taken so often, in seconds; so many at 
 _SILENT: Final = 2.0  # a process that has spoken is stuck after so many seconds without
 _STARTING: Final = 30.0  # how long it may take until it speaks, in seconds
 _FIRST, _MOST = 0.2, 5.0  # how long it stays ended, in seconds: ever longer
-_GRAVE: Final = re.compile(r"\b(WARN|ERROR|FATAL|Warning|Error)\]")  # or DDS, in words
+_GRAVE: Final = re.compile(r"\b(INFO|WARN|ERROR|FATAL|Warning|Error)\]")  # DDS, too
 
 
 @attrs.frozen
